@@ -1,0 +1,1 @@
+"""StairNetV2 and the geometry that turns its lines into steps."""

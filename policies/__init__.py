@@ -1,0 +1,1 @@
+"""Stable-Baselines3 policies: training, evaluation, shipped weights."""

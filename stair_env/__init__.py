@@ -1,0 +1,1 @@
+"""Gymnasium stair climbing for legged robots with a simulated RealSense D435i."""

@@ -1,0 +1,1 @@
+"""Simulated Intel RealSense D435i: intrinsics, renderers, error models, sensor."""

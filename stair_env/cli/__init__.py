@@ -1,0 +1,1 @@
+"""The `stair-env` command line."""
