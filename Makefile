@@ -1,0 +1,48 @@
+# Two commands on a fresh machine: `make demo` and `make test` (needs python3.11 and make, nothing else).
+PYTHON ?= python3.11
+VENV ?= .venv
+WORKERS ?= 2
+DEMO_DIR ?= runs/demo
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# One thread a process: the tests and the workers bring their own parallelism.
+ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-slow lint bench clean
+
+help:
+	@echo "make demo       the shipped policy climbs on what its camera sees; writes a video"
+	@echo "make test       the test suite (make test-slow: training and soak tests)"
+	@echo "make lint       ruff and mypy"
+	@echo "make bench      time ratios against bare PyBullet and naive chains"
+	@echo "make install    only the virtual environment $(VENV)"
+
+$(STAMP): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install it or pass PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	@touch $@
+
+install: $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/stair-env demo --output $(DEMO_DIR)
+
+test: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -q tests
+
+test-slow: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m pytest -m slow -q tests
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(STAMP)
+	$(BIN)/stair-env bench
+
+clean:
+	rm -rf $(VENV) runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
