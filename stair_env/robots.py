@@ -1,0 +1,148 @@
+"""Legged robots as data: adding one is adding an entry to ROBOTS, never a class.
+
+All robots share one canonical convention, whatever their URDF does: legs in the order FR, FL, RR, RL; three joints a
+leg (hip abduction about +x, upper and lower about +y of the base frame, zero = leg straight down, knee bent backwards
+is negative). `joint_signs` and `joint_offsets` translate: urdf_angle = sign * canonical_angle + offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stair_env.scene import IDENTITY, Quaternion, Vector3
+from stair_env.stairs import check_choice, check_range
+
+LEGS = ("FR", "FL", "RR", "RL")
+NUM_JOINTS = 12
+LEG_SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # y sign of each leg
+
+
+@dataclass(frozen=True)
+class CameraMount:
+    """Where the D435i sits on the trunk.
+
+    Attributes:
+        position: colour imager in the base frame, metres.
+        pitch_down_rad: tilt of the optical axis below the base's x axis.
+    """
+
+    position: Vector3
+    pitch_down_rad: float
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """What the simulation, the gait and the sensors need to know of a robot.
+
+    Attributes:
+        name: key in ROBOTS.
+        urdf: path inside pybullet_data.
+        joint_names: (12,) URDF joints in canonical order.
+        toe_names: (4,) names of the links that touch the ground, canonical leg order.
+        hip_x, hip_y: (front, rear) x and the y magnitude of the abduction axes in the base frame, metres.
+        hip_offset, upper_length, lower_length: leg link lengths to the centre of the foot, metres.
+        foot_radius: metres.
+        stand_height: base above the feet when standing, metres.
+        max_torque: of each joint, N·m.
+        mass: of the whole robot, kg (for cost of transport).
+        camera: mount of the D435i.
+        joint_signs, joint_offsets: (12,) translation to the URDF's angles.
+        base_orientation: rotation from the URDF's base link to the canonical base frame, quaternion.
+        stance_half_width: lateral distance of the footholds from the hip joint outwards, metres.
+    """
+
+    name: str
+    urdf: str
+    joint_names: tuple[str, ...]
+    toe_names: tuple[str, ...]
+    hip_x: tuple[float, float]
+    hip_y: float
+    hip_offset: float
+    upper_length: float
+    lower_length: float
+    foot_radius: float
+    stand_height: float
+    max_torque: float
+    mass: float
+    camera: CameraMount
+    joint_signs: tuple[float, ...] = (1.0,) * NUM_JOINTS
+    joint_offsets: tuple[float, ...] = (0.0,) * NUM_JOINTS
+    base_orientation: Quaternion = IDENTITY
+
+    def __post_init__(self) -> None:
+        for name, length in (("joint_names", 12), ("toe_names", 4), ("joint_signs", 12), ("joint_offsets", 12)):
+            if len(getattr(self, name)) != length:
+                raise ValueError(f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}")
+        check_range("stand_height", self.stand_height, 0.05, self.upper_length + self.lower_length)
+
+    @property
+    def hips(self) -> np.ndarray:
+        """(4, 3) abduction joints in the base frame, metres."""
+        x_front, x_rear = self.hip_x
+        return np.array([[x, side * self.hip_y, 0.0] for x, side in zip((x_front, x_front, x_rear, x_rear), LEG_SIDE)])
+
+    @property
+    def nominal_feet(self) -> np.ndarray:
+        """(4, 3) foot centres in the base frame when standing on flat ground, metres."""
+        feet = self.hips
+        feet[:, 1] += LEG_SIDE * self.hip_offset
+        feet[:, 2] = -self.stand_height
+        return feet
+
+
+def _unitree_joints() -> tuple[str, ...]:
+    return tuple(f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "upper", "lower"))
+
+
+def _unitree_toes() -> tuple[str, ...]:
+    return tuple(f"{leg}_toe" for leg in LEGS)
+
+
+# Link lengths and torques: the URDFs in pybullet_data. The AlienGo trunk's collision box reaches to x = 0.32 m; the camera
+# sits on its front face. Its pitch lets the picture reach from the horizon down to the ground 0.4 m ahead of the lens.
+_ALIENGO = RobotSpec(
+    name="aliengo",
+    urdf="aliengo/aliengo.urdf",
+    joint_names=_unitree_joints(),
+    toe_names=_unitree_toes(),
+    hip_x=(0.2399, -0.2399),
+    hip_y=0.051,
+    hip_offset=0.083,
+    upper_length=0.25,
+    lower_length=0.25,
+    foot_radius=0.0265,
+    stand_height=0.38,
+    max_torque=44.4,
+    mass=20.6,
+    camera=CameraMount(position=(0.34, 0.0, 0.06), pitch_down_rad=0.40),
+)
+_A1 = RobotSpec(
+    name="a1",
+    urdf="a1/a1.urdf",
+    joint_names=_unitree_joints(),
+    toe_names=_unitree_toes(),
+    hip_x=(0.183, -0.183),
+    hip_y=0.047,
+    hip_offset=0.0838,
+    upper_length=0.20,
+    lower_length=0.20,
+    foot_radius=0.02,
+    stand_height=0.28,
+    max_torque=33.5,
+    mass=12.5,
+    camera=CameraMount(position=(0.27, 0.0, 0.05), pitch_down_rad=0.40),
+)
+
+ROBOTS: dict[str, RobotSpec] = {robot.name: robot for robot in (_ALIENGO, _A1)}
+
+
+def get_robot(name: str) -> RobotSpec:
+    """Look a robot up.
+
+    Raises:
+        SpecError: the name is unknown; the message lists the choices.
+    """
+    check_choice("robot", name, tuple(ROBOTS))
+    return ROBOTS[name]

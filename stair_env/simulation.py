@@ -1,0 +1,271 @@
+"""The physics: the one owner of a Bullet client.
+
+It answers named questions about the robot in canonical terms (see `stair_env.robots`) and hides Bullet's link
+indices, inertial frames and joint conventions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pybullet
+import pybullet_data
+from pybullet_utils.bullet_client import BulletClient
+
+from stair_env.robots import NUM_JOINTS, RobotSpec
+from stair_env.scene import Shape
+
+GRAVITY = 9.81  # m/s²
+PHYSICS_RATE_HZ = 240
+SUBSTEPS = 5
+CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
+CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
+POSITION_GAIN, VELOCITY_GAIN = 0.2, 0.8  # Bullet's position motor; measured to hold a trot on stairs
+FOOT_FRICTION = 1.0  # multiplied with the ground's by Bullet
+SHAPE_COLOURS = {
+    "floor": (0.62, 0.61, 0.58, 1.0),
+    "step": (0.72, 0.69, 0.64, 1.0),
+    "wall": (0.86, 0.85, 0.82, 1.0),
+    "rail": (0.35, 0.36, 0.38, 1.0),
+    "stringer": (0.45, 0.36, 0.28, 1.0),
+}
+DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class BaseState:
+    """Trunk state in the world frame.
+
+    Attributes:
+        position: (3,) origin of the canonical base frame, metres.
+        rotation: (3, 3) base to world.
+        velocity: (3,) of the origin, m/s.
+        angular_velocity: (3,) rad/s.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+
+    @property
+    def yaw(self) -> float:
+        """Heading about world z, radians."""
+        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
+
+
+@dataclass(frozen=True)
+class FootContacts:
+    """Contacts of one control step's last physics step.
+
+    Attributes:
+        touching: (4,) bool.
+        force: (4, 3) force of the ground on each foot, world frame, newtons.
+        body_touches: whether any other part of the robot touches something.
+    """
+
+    touching: np.ndarray
+    force: np.ndarray
+    body_touches: bool
+
+
+class Simulation:
+    """A robot among solids.
+
+    Args:
+        robot: which robot.
+        gui: open Bullet's window instead of running headless.
+    """
+
+    def __init__(self, robot: RobotSpec, gui: bool = False) -> None:
+        self.robot = robot
+        self.client = BulletClient(pybullet.GUI if gui else pybullet.DIRECT)
+        self._gui = gui
+        self.body = -1
+        self.ground: list[int] = []
+        self._signs = np.array(robot.joint_signs)
+        self._offsets = np.array(robot.joint_offsets)
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
+        if self.client is not None and self.client._client >= 0:
+            self.client.disconnect()
+            self.client._client = -1
+
+    def build(self, shapes: Sequence[Shape], friction: float) -> None:
+        """Start an empty world, put the solids in and load the robot far above them.
+
+        A fresh world costs 15 ms an episode and is what makes an episode independent of those before it.
+
+        Args:
+            shapes: solids of the scene; the ones that do not collide are drawn only.
+            friction: lateral friction coefficient of the ground against the feet.
+        """
+        client = self.client
+        client.resetSimulation()
+        client.setAdditionalSearchPath(pybullet_data.getDataPath())
+        client.setGravity(0, 0, -GRAVITY)
+        client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
+        client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
+        self.ground = [self._add_shape(shape, friction) for shape in shapes]
+        self.body = client.loadURDF(
+            self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
+        )
+        self._index_links()
+        for link in range(-1, client.getNumJoints(self.body)):
+            friction_here = FOOT_FRICTION if link in self._foot_of_link else 0.5
+            client.changeDynamics(
+                self.body, link, lateralFriction=friction_here, linearDamping=0.0, angularDamping=0.0
+            )
+
+    def _index_links(self) -> None:
+        client, robot = self.client, self.robot
+        infos = [client.getJointInfo(self.body, j) for j in range(client.getNumJoints(self.body))]
+        joint_of = {info[1].decode(): info[0] for info in infos}
+        link_of = {info[12].decode(): info[0] for info in infos}
+        self._joints = [joint_of[name] for name in robot.joint_names]
+        toes = [link_of[name] for name in robot.toe_names]
+        self._foot_of_link = {link: foot for foot, link in enumerate(toes)}
+        self._toes = toes
+        dynamics = client.getDynamicsInfo(self.body, -1)
+        self._base_mass = float(dynamics[0])
+        self._inertial_position = np.array(dynamics[3])
+        inertial = np.array(client.getMatrixFromQuaternion(dynamics[4])).reshape(3, 3)
+        canonical = np.array(client.getMatrixFromQuaternion(robot.base_orientation)).reshape(3, 3)
+        self._inertial_to_canonical = inertial.T @ canonical
+        self._origin_in_base = -canonical.T @ self._inertial_position  # from the centre of mass, base axes, metres
+
+    def _add_shape(self, shape: Shape, friction: float) -> int:
+        client = self.client
+        kinds = {
+            "box": (pybullet.GEOM_BOX, {"halfExtents": shape.size}),
+            "sphere": (pybullet.GEOM_SPHERE, {"radius": shape.size[0]}),
+            "cylinder": (pybullet.GEOM_CYLINDER, {"radius": shape.size[0], "height": 2 * shape.size[1]}),
+            "capsule": (pybullet.GEOM_CAPSULE, {"radius": shape.size[0], "height": 2 * shape.size[1]}),
+        }
+        geometry, size = kinds[shape.kind]
+        collision = client.createCollisionShape(geometry, **size) if shape.collides else -1
+        visual_size = {("length" if key == "height" else key): value for key, value in size.items()}
+        colour = SHAPE_COLOURS.get(shape.surface, DEFAULT_COLOUR)
+        visual = client.createVisualShape(geometry, rgbaColor=colour, **visual_size)
+        body = client.createMultiBody(0, collision, visual, shape.position, shape.orientation)
+        client.changeDynamics(body, -1, lateralFriction=friction)
+        return body
+
+    def place_robot(self, position: np.ndarray, yaw: float, joint_angles: np.ndarray, pitch: float = 0.0) -> None:
+        """Teleport the robot, at rest.
+
+        Args:
+            position: (3,) base origin, world frame, metres.
+            yaw: heading, radians.
+            joint_angles: (12,) canonical, radians.
+            pitch: nose-down angle about the base's y axis, radians.
+        """
+        rotation = np.array(self.client.getMatrixFromQuaternion(self.client.getQuaternionFromEuler([0, pitch, yaw])))
+        base_to_world = rotation.reshape(3, 3)
+        link_to_world = base_to_world @ np.array(
+            self.client.getMatrixFromQuaternion(self.robot.base_orientation)
+        ).reshape(3, 3).T
+        # resetBasePositionAndOrientation takes the inertial frame
+        centre = np.asarray(position) + link_to_world @ self._inertial_position
+        inertial_to_world = base_to_world @ self._inertial_to_canonical.T
+        quaternion = _quaternion_from_matrix(inertial_to_world)
+        self.client.resetBasePositionAndOrientation(self.body, centre, quaternion)
+        self.client.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0])
+        for joint, angle in zip(self._joints, self._to_urdf(joint_angles)):
+            self.client.resetJointState(self.body, joint, angle, 0.0)
+
+    def _to_urdf(self, angles: np.ndarray) -> np.ndarray:
+        return self._signs * angles + self._offsets
+
+    def set_payload(self, kilograms: float) -> None:
+        """Add mass to the trunk (negative takes some away)."""
+        self.client.changeDynamics(self.body, -1, mass=max(0.2, self._base_mass + kilograms))
+
+    def command_joints(self, joint_angles: np.ndarray, strength: float = 1.0) -> None:
+        """Set position-motor targets.
+
+        Args:
+            joint_angles: (12,) canonical, radians.
+            strength: factor on the largest torque.
+        """
+        self.client.setJointMotorControlArray(
+            self.body,
+            self._joints,
+            pybullet.POSITION_CONTROL,
+            targetPositions=self._to_urdf(joint_angles),
+            positionGains=[POSITION_GAIN] * NUM_JOINTS,
+            velocityGains=[VELOCITY_GAIN] * NUM_JOINTS,
+            forces=[strength * self.robot.max_torque] * NUM_JOINTS,
+        )
+
+    def step_physics(self) -> None:
+        """Advance one physics step of 1/240 s."""
+        self.client.stepSimulation()
+
+    def push(self, velocity: np.ndarray) -> None:
+        """Add a velocity (3,) m/s to the trunk at once, as a shove does."""
+        linear, angular = self.client.getBaseVelocity(self.body)
+        self.client.resetBaseVelocity(self.body, np.add(linear, velocity), angular)
+
+    def base_state(self) -> BaseState:
+        """Pose and velocity of the canonical base frame."""
+        position, quaternion = self.client.getBasePositionAndOrientation(self.body)
+        linear, angular = self.client.getBaseVelocity(self.body)
+        rotation = np.array(self.client.getMatrixFromQuaternion(quaternion)).reshape(3, 3) @ self._inertial_to_canonical
+        angular_velocity = np.array(angular)
+        offset = rotation @ self._origin_in_base
+        return BaseState(
+            np.array(position) + offset,
+            rotation,
+            np.array(linear) + _cross(angular_velocity, offset),
+            angular_velocity,
+        )
+
+    def joint_states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""
+        states = self.client.getJointStates(self.body, self._joints)
+        angles = np.array([state[0] for state in states])
+        velocities = np.array([state[1] for state in states])
+        torques = np.array([state[3] for state in states])
+        return self._signs * (angles - self._offsets), self._signs * velocities, self._signs * torques
+
+    def foot_positions(self) -> np.ndarray:
+        """(4, 3) foot centres in the world frame, metres."""
+        states = self.client.getLinkStates(self.body, self._toes)
+        return np.array([state[0] for state in states])
+
+    def foot_contacts(self) -> FootContacts:
+        """Contacts of the last physics step."""
+        touching, force, body_touches = np.zeros(4, bool), np.zeros((4, 3)), False
+        for point in self.client.getContactPoints(bodyA=self.body):
+            foot = self._foot_of_link.get(point[3])
+            if foot is None:
+                body_touches = body_touches or (point[2] != self.body and point[9] > 1.0)
+                continue
+            touching[foot] = True
+            normal, friction_1, friction_2 = point[7], point[11], point[13]
+            for axis in range(3):
+                force[foot, axis] += (
+                    point[9] * normal[axis] + point[10] * friction_1[axis] + point[12] * friction_2[axis]
+                )
+        return FootContacts(touching, force, body_touches)
+
+    def follow_with_camera(self, position: np.ndarray, yaw_deg: float = 50.0) -> None:
+        """Keep Bullet's window on the robot (GUI only)."""
+        if self._gui:
+            self.client.resetDebugVisualizerCamera(1.8, yaw_deg, -20.0, list(position))
+
+
+def _quaternion_from_matrix(matrix: np.ndarray) -> Any:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(matrix).as_quat()
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product of two (3,) vectors; np.cross costs ten times as much at this size."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
