@@ -53,7 +53,7 @@ def test_letterbox_maps_points_as_padding_and_scaling_do(width, height):
     intrinsics = Intrinsics(width, height, 600.0, 610.0, width / 2 + 3, height / 2 - 2)
     point = np.array([0.2, 0.1, 1.3])
     left, top, side = letterbox_padding(width, height)
-    expected = (intrinsics.project(point) + [left, top]) * 512 / side
+    expected = (intrinsics.project(point) + np.array([left, top])) * 512 / side
     assert np.allclose(intrinsics.letterboxed(512).project(point), expected)
     assert side == max(width, height)
 

@@ -1,0 +1,107 @@
+"""What every renderer takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from stair_env.camera.intrinsics import Intrinsics
+from stair_env.scene import Shape
+from stair_env.stairs import StairEdge
+
+NEAR_M = 0.01  # nothing closer to the camera is drawn
+FAR_M = 60.0  # nothing farther is; a D435i reports nothing beyond about 10 m
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What an ideal RGB-D camera sees.
+
+    Attributes:
+        rgb: uint8 (H, W, 3), sRGB.
+        depth_m: float32 (H, W), distance along the optical axis, metres; 0 where nothing was hit.
+        segmentation: int32 (H, W), index into the scene's shapes, then into the moving ones; -1 where nothing was hit.
+    """
+
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    segmentation: np.ndarray
+
+
+class SceneLike(Protocol):
+    """The part of `stair_env.sampling.Scene` that a renderer reads."""
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Static solids in the world frame."""
+
+    @property
+    def edges(self) -> tuple[StairEdge, ...]:
+        """Stair lines in the world frame."""
+
+
+class Renderer(Protocol):
+    """Draws one scene from any viewpoint."""
+
+    def render(self, intrinsics: Intrinsics, camera_to_world: np.ndarray, *, moving: Sequence[Shape] = ()) -> Frame:
+        """Draw a frame.
+
+        Args:
+            intrinsics: of the image to draw.
+            camera_to_world: (4, 4) pose of the optical frame (x right, y down, z forward).
+            moving: solids in the world frame besides the scene's own, such as a robot's links.
+        """
+
+    def close(self) -> None:
+        """Release what the renderer holds; calling it twice is fine."""
+
+
+def check_pose(camera_to_world: np.ndarray) -> np.ndarray:
+    """Return the pose as a (4, 4) float64 array.
+
+    Raises:
+        ValueError: it is not a finite rigid transform.
+    """
+    pose = np.asarray(camera_to_world, dtype=np.float64)
+    if pose.shape != (4, 4):
+        raise ValueError(f"camera_to_world has shape {pose.shape}, must be (4, 4)")
+    rotation = pose[:3, :3]
+    # Written so that NaN fails too.
+    if not (np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6 and np.isfinite(pose).all()):
+        raise ValueError("camera_to_world must be a finite rigid transform")
+    if np.linalg.det(rotation) < 0.0 or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
+        raise ValueError("camera_to_world must be a rotation and a translation, last row (0, 0, 0, 1)")
+    return pose
+
+
+def look_at(eye: Sequence[float], target: Sequence[float], roll_rad: float = 0.0) -> np.ndarray:
+    """Camera pose that looks from one point at another.
+
+    Args:
+        eye: (3,) position of the camera, world frame, metres.
+        target: (3,) point in the middle of the image, not straight above or below the eye.
+        roll_rad: rotation about the optical axis; positive turns the camera clockwise as seen from behind it.
+
+    Returns:
+        (4, 4) float64 camera_to_world.
+
+    Raises:
+        ValueError: the direction is vertical or of no length.
+    """
+    forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+        raise ValueError(f"target={tuple(target)} must not lie straight above or below eye={tuple(eye)}")
+    forward /= np.linalg.norm(forward)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    cos, sin = np.cos(roll_rad), np.sin(roll_rad)
+    pose = np.eye(4)
+    pose[:3, 0] = cos * right + sin * down
+    pose[:3, 1] = cos * down - sin * right
+    pose[:3, 2] = forward
+    pose[:3, 3] = eye
+    return pose

@@ -1,0 +1,45 @@
+"""Runs compiled kernels, which release the interpreter lock, on several threads.
+
+Numba's own thread pools do not survive a fork (OpenMP aborts the child), and vector environments fork. A Python
+thread pool that belongs to one process id does.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+
+_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+
+def default_threads() -> int:
+    """Numba's setting: NUMBA_NUM_THREADS, else the number of cores."""
+    return int(numba.config.NUMBA_NUM_THREADS)
+
+
+def _pool(workers: int) -> ThreadPoolExecutor:
+    key = (os.getpid(), workers)
+    if key not in _pools:
+        _pools[key] = ThreadPoolExecutor(workers, thread_name_prefix="raycast")
+    return _pools[key]
+
+
+def run_rows(work: Callable[[np.ndarray], None], num_rows: int, threads: int | None = None) -> None:
+    """Call work on disjoint sets of row indices that together are range(num_rows).
+
+    Args:
+        work: takes (k,) int64 row indices; must not depend on the order of calls.
+        num_rows: how many rows there are.
+        threads: how many calls run at once; None for `default_threads`.
+    """
+    count = min(threads or default_threads(), num_rows)
+    # Interleaved, because the rows of an image are not equally expensive.
+    shares = [np.arange(start, num_rows, count) for start in range(count)]
+    pending = [_pool(count - 1).submit(work, share) for share in shares[1:]] if count > 1 else []
+    work(shares[0])
+    for future in pending:
+        future.result()
