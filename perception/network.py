@@ -1,0 +1,272 @@
+"""StairNetV2 (Wang et al., table 1 and figure 1): RGB and depth in, a 32 x 16 grid of stair-line segments out.
+
+Where the paper is silent, the choice and its reason stand beside the code. The reading of table 1 below gives float32
+state dicts of 10.4, 2.87 and 0.95 MB within 4 % for the three widths, which are the sizes that table 4 states.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+IMAGE_SIZE = 512  # pixels, input side (paper, table 1)
+GRID_ROWS = 32
+GRID_COLUMNS = 16
+WIDTHS = (1.0, 0.5, 0.25)  # channel width factors of the three published versions (paper, table 4)
+FUSION_STAGES = (2, 3, 4)  # down-samplings before the selective module (paper, table 2)
+
+STEM_CHANNELS = 32
+STAGE_CHANNELS = (128, 256, 256)
+CARDINALITY = 32  # groups of a ResNeXt bottleneck at width 1, as in ResNeXt's 32 x 4d
+STAGE_1_DILATIONS = (1, 1, 1)
+DEEP_STAGE_DILATIONS = (1, 2, 1, 4, 1, 8, 1, 16)  # bottlenecks 2.0-2.7, repeated as 3.0-3.7
+NECK_CHANNELS = 128
+SE_RATIO = 4  # the paper names no ratio; 4 is what makes the sizes of table 4 come out
+CLS_PRIOR = 0.1  # start probability of "holds a line", near the share of such cells, so that training starts calm
+
+
+class RawOutput(NamedTuple):
+    """What the loss needs.
+
+    Attributes:
+        cls_logits: (B, 1, 32, 16) before the sigmoid.
+        loc: (B, 8, 32, 16) coordinates within the cell in 0..1, x1 y1 x2 y2 x3 y3 x4 y4.
+    """
+
+    cls_logits: Tensor
+    loc: Tensor
+
+
+class GroupedConv3x3(nn.Module):
+    """3 x 3 grouped convolution without bias whose arithmetic can run dense.
+
+    CPU kernels for a handful of channels per group are several times slower than one dense convolution over all
+    channels, whose weight is zero between the groups. Parameters, gradients and results are those of the grouped form.
+
+    Args:
+        channels: in and out.
+        groups: divides channels.
+        stride: of both axes.
+        dilation: of both axes; the padding keeps the size.
+    """
+
+    def __init__(self, channels: int, groups: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        if channels % groups:
+            raise ValueError(f"groups={groups} must divide channels={channels}")
+        self.channels, self.groups, self.stride, self.dilation = channels, groups, stride, dilation
+        self.weight = nn.Parameter(torch.empty(channels, channels // groups, 3, 3))
+        self.dense = False
+        nn.init.kaiming_normal_(self.weight, mode="fan_out", nonlinearity="relu")
+
+    def dense_weight(self) -> Tensor:
+        """(channels, channels, 3, 3) block-diagonal form of the weight."""
+        per_group = self.channels // self.groups
+        blocks = self.weight.view(self.groups, per_group, 1, per_group, 3, 3)
+        eye = torch.eye(self.groups, dtype=self.weight.dtype, device=self.weight.device)
+        spread = blocks * eye.view(self.groups, 1, self.groups, 1, 1, 1)
+        return spread.reshape(self.channels, self.channels, 3, 3)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C, H / stride, W / stride)."""
+        if self.dense:
+            return F.conv2d(x, self.dense_weight(), None, self.stride, self.dilation, self.dilation)
+        return F.conv2d(x, self.weight, None, self.stride, self.dilation, self.dilation, self.groups)
+
+
+class ConvNormAct(nn.Sequential):
+    """Convolution, batch norm, ReLU."""
+
+    def __init__(self, c_in: int, c_out: int, kernel: int = 1, stride: int | tuple[int, int] = 1) -> None:
+        super().__init__(
+            nn.Conv2d(c_in, c_out, kernel, stride, padding=kernel // 2, bias=False),
+            nn.BatchNorm2d(c_out),
+            nn.ReLU(inplace=True),
+        )
+
+
+class Focus(nn.Module):
+    """YOLOv5's tensor slice: four interleaved quarter images as channels, mixed by a 1 x 1 convolution."""
+
+    def __init__(self, c_in: int, c_out: int) -> None:
+        super().__init__()
+        self.mix = ConvNormAct(4 * c_in, c_out)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, c_out, H / 2, W / 2)."""
+        return self.mix(F.pixel_unshuffle(x, 2))
+
+
+class SqueezeExcite(nn.Module):
+    """Channel gates from the mean of the feature map."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.squeeze = nn.Linear(channels, channels // SE_RATIO)
+        self.excite = nn.Linear(channels // SE_RATIO, channels)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> the same, scaled per channel."""
+        gate = torch.sigmoid(self.excite(F.relu(self.squeeze(x.mean((2, 3))))))
+        return x * gate[:, :, None, None]
+
+
+class Bottleneck(nn.Module):
+    """SE-ResNeXt bottleneck: 1 x 1 to half, grouped 3 x 3 (stride and dilation here), 1 x 1 back, gates, shortcut."""
+
+    def __init__(self, c_in: int, c_out: int, groups: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        middle = c_out // 2
+        self.reduce = ConvNormAct(c_in, middle)
+        self.spatial = GroupedConv3x3(middle, groups, stride, dilation)
+        self.spatial_norm = nn.BatchNorm2d(middle)
+        self.expand = nn.Conv2d(middle, c_out, 1, bias=False)
+        self.expand_norm = nn.BatchNorm2d(c_out)
+        self.gates = SqueezeExcite(c_out)
+        self.shortcut: nn.Module = nn.Identity()
+        if stride != 1 or c_in != c_out:
+            self.shortcut = nn.Sequential(nn.Conv2d(c_in, c_out, 1, stride, bias=False), nn.BatchNorm2d(c_out))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, c_in, H, W) -> (B, c_out, H / stride, W / stride)."""
+        y = F.relu(self.spatial_norm(self.spatial(self.reduce(x))))
+        y = self.gates(self.expand_norm(self.expand(y)))
+        return F.relu(y + self.shortcut(x))
+
+
+class SelectiveModule(nn.Module):
+    """Figure 1: per channel, two weights that sum to 1 decide how much of RGB and of depth goes on.
+
+    The figure goes from the pooled sum straight to two descriptors under a softmax. One vector cannot give two
+    different ones without weights in between: one fully connected layer per branch is the least that can, and the
+    softmax runs over the pair, so that the two descriptors restrict each other.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.select = nn.Linear(channels, 2 * channels)
+
+    def forward(self, rgb: Tensor, depth: Tensor) -> Tensor:
+        """Two (B, C, H, W) -> (B, C, H, W)."""
+        pooled = (rgb + depth).mean((2, 3))
+        pair = self.select(pooled).view(pooled.shape[0], 2, -1)
+        weights = torch.softmax(pair, dim=1)[..., None, None]
+        return rgb * weights[:, 0] + depth * weights[:, 1]
+
+
+class Head(nn.Sequential):
+    """3 x 3 convolution and 1 x 1 convolution to the output channels."""
+
+    def __init__(self, channels: int, c_out: int) -> None:
+        super().__init__(ConvNormAct(channels, channels, kernel=3), nn.Conv2d(channels, c_out, 1))
+
+
+def _scaled(channels: int, width: float) -> int:
+    return int(channels * width)
+
+
+def _stage(index: int, c_in: int, width: float) -> nn.Sequential:
+    """Bottlenecks of stage 1, 2 or 3; the first one halves the size."""
+    c_out, groups = _scaled(STAGE_CHANNELS[index - 1], width), _scaled(CARDINALITY, width)
+    dilations = STAGE_1_DILATIONS if index == 1 else DEEP_STAGE_DILATIONS
+    blocks = [
+        Bottleneck(c_in if i == 0 else c_out, c_out, groups, stride=2 if i == 0 else 1, dilation=d)
+        for i, d in enumerate(dilations)
+    ]
+    return nn.Sequential(*blocks)
+
+
+class StairNetV2(nn.Module):
+    """The detector.
+
+    Args:
+        width: channel width factor, 1.0, 0.5 or 0.25.
+        fusion_stage: number of down-samplings before the selective module: 2 (the paper's choice), 3 or 4.
+
+    Raises:
+        ValueError: an argument is none of its choices.
+    """
+
+    def __init__(self, width: float = 1.0, fusion_stage: int = 2) -> None:
+        super().__init__()
+        if width not in WIDTHS:
+            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+        if fusion_stage not in FUSION_STAGES:
+            raise ValueError(f"fusion_stage={fusion_stage!r} must be one of {', '.join(map(str, FUSION_STAGES))}")
+        self.width, self.fusion_stage = float(width), fusion_stage
+        stem = _scaled(STEM_CHANNELS, width)
+        stage_in = [stem, *(_scaled(c, width) for c in STAGE_CHANNELS[:-1])]
+        own = range(1, fusion_stage)  # stages that each branch has for itself
+        shared = range(fusion_stage, 4)
+        self.rgb_branch = nn.Sequential(Focus(3, stem), *(_stage(i, stage_in[i - 1], width) for i in own))
+        self.depth_branch = nn.Sequential(Focus(1, stem), *(_stage(i, stage_in[i - 1], width) for i in own))
+        self.selective = SelectiveModule(_scaled(STAGE_CHANNELS[fusion_stage - 2], width))
+        self.trunk = nn.Sequential(*(_stage(i, stage_in[i - 1], width) for i in shared))
+        neck = _scaled(NECK_CHANNELS, width)
+        self.neck = ConvNormAct(_scaled(STAGE_CHANNELS[-1], width), neck, kernel=3, stride=(1, 2))
+        self.cls_head = Head(neck, 1)
+        self.loc_head = Head(neck, 8)
+        self._initialise()
+
+    def _initialise(self) -> None:
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+            if isinstance(module, Bottleneck):
+                # Each block starts as its shortcut: 19 residual blocks then train at 1e-3 from the first step.
+                nn.init.zeros_(module.expand_norm.weight)
+        for head, bias in ((self.cls_head, torch.logit(torch.tensor(CLS_PRIOR)).item()), (self.loc_head, 0.0)):
+            last = head[-1]
+            assert isinstance(last, nn.Conv2d) and last.bias is not None
+            nn.init.normal_(last.weight, std=0.01)
+            nn.init.constant_(last.bias, bias)
+
+    def use_dense_convolutions(self, dense: bool = True) -> StairNetV2:
+        """Choose how grouped convolutions are computed (same results, see `GroupedConv3x3`); returns self."""
+        for module in self.modules():
+            if isinstance(module, GroupedConv3x3):
+                module.dense = dense
+        return self
+
+    def forward_raw(self, rgb: Tensor, depth: Tensor) -> RawOutput:
+        """What `forward` gives, with classification as logits, for training.
+
+        Args:
+            rgb: (B, 3, 512, 512) float32, scaled by `perception.preprocess`.
+            depth: (B, 1, 512, 512) float32, likewise.
+        """
+        fused = self.selective(self.rgb_branch(rgb), self.depth_branch(depth))
+        features = self.neck(self.trunk(fused))
+        return RawOutput(self.cls_head(features), torch.sigmoid(self.loc_head(features)))
+
+    def forward(self, rgb: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """Detect.
+
+        Any height and width divisible by 32 pass; the grid is then (H / 16, W / 32).
+
+        Args:
+            rgb: (B, 3, 512, 512) float32.
+            depth: (B, 1, 512, 512) float32.
+
+        Returns:
+            cls: (B, 1, 32, 16) probability that the cell holds a stair line, in 0..1 (threshold 0.5). Table 1 draws the
+                sigmoid in the location column only; here both are activated, so that 0.5 means what equation 10 says.
+            loc: (B, 8, 32, 16) coordinates within the cell in 0..1: x1 y1 x2 y2 of one line, x3 y3 x4 y4 of the other.
+        """
+        raw = self.forward_raw(rgb, depth)
+        return torch.sigmoid(raw.cls_logits), raw.loc
+
+
+def state_dict_megabytes(network: nn.Module) -> float:
+    """Size of the state dict as `torch.save` writes it, 10^6 bytes: what table 4 counts.
+
+    The three published sizes only fit a network whose parameters grow with the square of the width if about 0.2 MB
+    do not depend on the width at all. That is the file's own book-keeping, a third of a kilobyte per tensor.
+    """
+    buffer = io.BytesIO()
+    torch.save(network.state_dict(), buffer)
+    return buffer.tell() / 1e6
