@@ -1,0 +1,106 @@
+"""Which way is down, from accelerometer and gyro together.
+
+A walking robot's accelerometer alone is wrong by metres per second squared; fused with the gyro it is right to
+fractions of a degree. The filter is x-io's `imufusion` (Madgwick's revised complementary filter).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+STANDARD_GRAVITY = 9.80665  # m/s² per g
+
+
+class AttitudeFilter:
+    """Fuses samples into a direction of gravity, in the frame that the samples are given in.
+
+    The yaw it carries is the integrated gyro's, without reference.
+
+    Args:
+        sample_rate_hz: rate of the samples.
+        gain: how fast the accelerometer corrects the gyro; small because feet hit the ground twice a stride.
+        acceleration_rejection_deg: a reading that disagrees by more is not used.
+    """
+
+    def __init__(self, sample_rate_hz: float, gain: float = 0.1, acceleration_rejection_deg: float = 10.0) -> None:
+        import imufusion
+
+        self._fusion = imufusion
+        self._ahrs = imufusion.Ahrs()
+        settings = imufusion.AhrsSettings()
+        settings.sample_rate = sample_rate_hz
+        settings.convention = imufusion.CONVENTION_NWU
+        settings.gain = gain
+        settings.gyroscope_range = 1000.0
+        settings.acceleration_rejection = acceleration_rejection_deg
+        settings.rejection_timeout = int(2 * sample_rate_hz)
+        self._ahrs.set_settings(settings)
+
+    def reset(self, accelerometer: np.ndarray) -> None:
+        """Start from a reading at rest.
+
+        Args:
+            accelerometer: (3,) m/s², sensor axes.
+
+        Raises:
+            ValueError: the reading has no direction.
+        """
+        norm = float(np.linalg.norm(accelerometer))
+        if not np.isfinite(norm) or norm < 1e-6:
+            raise ValueError(f"accelerometer={accelerometer!r} gives no direction of gravity")
+        self._ahrs.restart()
+        self._ahrs.skip_startup()
+        self._ahrs.set_quaternion(_level_quaternion(np.asarray(accelerometer) / norm))
+
+    def update(self, accelerometer: np.ndarray, gyro: np.ndarray) -> None:
+        """Take samples in.
+
+        Args:
+            accelerometer: (k, 3) specific force, m/s².
+            gyro: (k, 3) rad/s.
+        """
+        degrees = np.degrees(gyro)
+        in_g = accelerometer / STANDARD_GRAVITY
+        for rate, force in zip(degrees, in_g):
+            self._ahrs.update_no_magnetometer(rate, force)
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) unit vector against gravity, sensor axes (what an accelerometer at rest would read)."""
+        return self.sensor_to_level_with_yaw[2]
+
+    @property
+    def sensor_to_level_with_yaw(self) -> np.ndarray:
+        """(3, 3) rotation from the sensor frame to a z-up frame of unknown but steady heading."""
+        return np.asarray(self._fusion.quaternion_to_matrix(self._ahrs.get_quaternion()))
+
+
+def _level_quaternion(up: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z), sensor to z-up, of smallest rotation that turns `up` (3,) onto z."""
+    axis = np.array([up[1], -up[0], 0.0])  # up × z
+    w = 1.0 + up[2]
+    if w < 1e-9:
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    quaternion = np.array([w, *axis])
+    return quaternion / np.linalg.norm(quaternion)
+
+
+def base_to_level(up: np.ndarray) -> np.ndarray:
+    """Rotation that takes roll and pitch out and leaves the heading alone.
+
+    Args:
+        up: (3,) unit vector against gravity in the base frame.
+
+    Returns:
+        (3, 3): level_vector = R @ base_vector; the level frame's x axis is the base's x axis laid flat.
+    """
+    forward = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    forward /= max(float(np.linalg.norm(forward)), 1e-9)
+    left = np.array(
+        [
+            up[1] * forward[2] - up[2] * forward[1],
+            up[2] * forward[0] - up[0] * forward[2],
+            up[0] * forward[1] - up[1] * forward[0],
+        ]
+    )
+    return np.stack([forward, left, up])

@@ -1,0 +1,101 @@
+"""Reward terms: pure functions of a control step's outcome, added up by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from stair_env.simulation import BaseState, FootContacts
+from stair_env.stairs import StairProfile
+
+WANTED_SPEED = 0.35  # m/s; going faster earns nothing
+NOSING_DANGER_M = 0.03
+RISER_HIT_RATIO = 4.0  # a foot that is pushed sideways this much harder than it is carried has hit a riser
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weight of each term; 0 switches it off."""
+
+    progress: float = 1.0
+    heading: float = 0.1
+    upright: float = 0.1
+    action_rate: float = 0.02
+    action_size: float = 0.01
+    riser_hit: float = 0.1
+    nosing: float = 0.05
+    step_bonus: float = 1.0
+    success: float = 10.0
+    fall: float = 10.0
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """What the terms are computed from.
+
+    Attributes:
+        before, after: base state at the start and the end of the control step.
+        feet: (4, 3) world, metres.
+        contacts: at the end of the step.
+        action, last_action: (n,) in [-1, 1].
+        new_steps: edges that the robot got behind it for the first time (negative: fell back).
+        slope_rad: nose-up pitch that suits the ground under the feet.
+        success, fell: how the step ended.
+        dt: control step, seconds.
+    """
+
+    before: BaseState
+    after: BaseState
+    feet: np.ndarray
+    contacts: FootContacts
+    action: np.ndarray
+    last_action: np.ndarray
+    new_steps: int
+    slope_rad: float
+    success: bool
+    fell: bool
+    dt: float
+
+
+def reward_terms(outcome: StepOutcome, profile: StairProfile, weights: RewardWeights) -> dict[str, float]:
+    """Weighted terms by name; the reward is their sum.
+
+    Args:
+        outcome: of one control step.
+        profile: side view of the stairs.
+        weights: of each term.
+
+    Returns:
+        One float per field of RewardWeights, penalties negative.
+    """
+    speed = (outcome.after.position[0] - outcome.before.position[0]) / outcome.dt
+    up = outcome.after.rotation[2]  # world z in the base frame
+    nose_up = float(np.arctan2(outcome.after.rotation[2, 0], np.hypot(up[1], up[2])))
+    roll = float(np.arctan2(up[1], up[2]))
+    tilt = (nose_up - 0.8 * outcome.slope_rad) ** 2 + roll**2
+    raw = {
+        "progress": float(np.clip(speed, -WANTED_SPEED, WANTED_SPEED)) / WANTED_SPEED,
+        "heading": -(outcome.after.yaw**2),
+        "upright": -tilt * 10.0,
+        "action_rate": -float(np.sum((outcome.action - outcome.last_action) ** 2)),
+        "action_size": -float(np.sum(outcome.action**2)),
+        "riser_hit": -float(np.sum(riser_hits(outcome.contacts))),
+        "nosing": -float(np.sum(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
+        "step_bonus": float(outcome.new_steps),
+        "success": float(outcome.success),
+        "fall": -float(outcome.fell),
+    }
+    return {field.name: getattr(weights, field.name) * raw[field.name] for field in fields(weights)}
+
+
+def riser_hits(contacts: FootContacts) -> np.ndarray:
+    """(4,) bool: which feet run into something upright."""
+    sideways = np.hypot(contacts.force[:, 0], contacts.force[:, 1])
+    return contacts.touching & (sideways > RISER_HIT_RATIO * np.abs(contacts.force[:, 2])) & (sideways > 5.0)
+
+
+def feet_near_nosing(feet: np.ndarray, contacts: FootContacts, profile: StairProfile) -> np.ndarray:
+    """(4,) bool: which standing feet are so close to an edge that they may slip off."""
+    distance = np.abs(feet[:, 0, None] - profile.edge_x[None]).min(axis=1)
+    return contacts.touching & (distance < NOSING_DANGER_M)
