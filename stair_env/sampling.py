@@ -1,0 +1,185 @@
+"""Random scenes: one sampler draws stairs, materials, light, surroundings and distractors from one generator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stair_env.appearance import LIGHTINGS, AppearanceSpec, Lighting
+from stair_env.looks import draw_light, draw_materials
+from stair_env.placement import draw_distractors
+from stair_env.scene_spec import Scene, SceneSpec
+from stair_env.stairs import (
+    DIRECTIONS,
+    RISER_RANGE_M,
+    STEP_COUNT_RANGE,
+    TREAD_RANGE_M,
+    Direction,
+    SideWalls,
+    SpecError,
+    StairSpec,
+    check_choice,
+    check_range,
+)
+from stair_env.surroundings import SurroundingsKind, SurroundingsSpec, WindowSide, enclosure
+from stair_env.viewpoints import sample_camera_pose
+
+__all__ = ["Scene", "SceneSampler", "SceneSpec", "sample_camera_pose"]
+
+SAMPLED_DIRECTIONS: tuple[str, ...] = (*DIRECTIONS, "both", "any")
+SAMPLED_LIGHTINGS: tuple[str, ...] = (*LIGHTINGS, "random")
+UNEVEN_SHARE = 0.4
+UNEVEN_STD_M = 0.004  # building codes allow about 5 mm between neighbouring steps; old stairs exceed it
+UNEVEN_LIMIT_M = 0.012
+OVERHANG_SHARE = 0.4
+OVERHANG_M = (0.005, 0.030)
+OPEN_RISER_SHARE = 0.08
+SURROUNDINGS_SHARES: dict[SurroundingsKind, float] = {"indoor": 0.55, "outdoor": 0.3, "plain": 0.15}
+
+Span = float | tuple[float, float]
+
+
+def as_range(name: str, value: float | Sequence[float], low: float, high: float) -> tuple[float, float]:
+    """(low, high) of an argument that is one number or two in order.
+
+    Raises:
+        SpecError: it is neither, or outside [low, high].
+    """
+    ends = tuple(value) if isinstance(value, (list, tuple, np.ndarray)) else (value, value)
+    if len(ends) != 2:
+        raise SpecError(f"{name}={value!r} must be a number or [low, high]")
+    for end in ends:
+        if isinstance(end, bool):
+            raise SpecError(f"{name}={value!r} must be a number or [low, high]")
+        check_range(name, end, low, high)
+    if ends[0] > ends[1]:
+        raise SpecError(f"{name}={value!r} must have low <= high")
+    return (float(ends[0]), float(ends[1]))
+
+
+@dataclass(frozen=True)
+class SceneSampler:
+    """Draws SceneSpecs.
+
+    Args:
+        riser_height, tread_depth: one number or (low, high), metres.
+        num_steps: one number or (low, high), both included.
+        direction: "up", "down", "up_down", "both" (up or down) or "any" (all three).
+        lighting: "day", "night" or "random".
+        negatives: share of scenes without stairs, 0 to 1.
+        distractors: whether there are things that look like stairs (negatives always have some).
+        surroundings: whether there are walls and ceilings.
+        details: whether stairs vary beyond riser and tread: uneven steps, nosings, open risers, walls, rails.
+
+    Raises:
+        SpecError: an argument is out of range.
+    """
+
+    riser_height: Span = (0.05, 0.20)
+    tread_depth: Span = (0.22, 0.40)
+    num_steps: int | tuple[int, int] = (2, 12)
+    direction: str = "any"
+    lighting: Literal["day", "night", "random"] = "random"
+    negatives: float = 0.0
+    distractors: bool = True
+    surroundings: bool = True
+    details: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))  # type: ignore[arg-type]
+        object.__setattr__(self, "tread_depth", as_range("tread_depth", self.tread_depth, *TREAD_RANGE_M))  # type: ignore[arg-type]
+        steps = as_range("num_steps", self.num_steps, *STEP_COUNT_RANGE)  # type: ignore[arg-type]
+        if any(end != int(end) for end in steps):
+            raise SpecError(f"num_steps={self.num_steps!r} must be whole numbers")
+        object.__setattr__(self, "num_steps", (int(steps[0]), int(steps[1])))
+        check_choice("direction", self.direction, SAMPLED_DIRECTIONS)
+        check_choice("lighting", self.lighting, SAMPLED_LIGHTINGS)
+        check_range("negatives", self.negatives, 0.0, 1.0)
+
+    def sample(self, rng: np.random.Generator) -> SceneSpec:
+        """A scene; the same generator state gives the same scene."""
+        stairs = None if rng.random() < self.negatives else self.sample_stairs(rng)
+        around = self._sample_surroundings(rng, stairs)
+        room = enclosure(around, stairs)
+        lighting: Lighting = self._sample_lighting(rng)
+        look = draw_materials(rng, around.kind == "indoor", strips=self.details)
+        light = draw_light(rng, lighting, around, room, stairs)
+        wanted = stairs is None or (self.distractors and rng.random() < 0.7)
+        things = draw_distractors(rng, stairs, around, room) if wanted else ()
+        return SceneSpec(stairs, AppearanceSpec(**look, **light), things, around)
+
+    def _sample_lighting(self, rng: np.random.Generator) -> Lighting:
+        if self.lighting != "random":
+            return self.lighting
+        return "day" if rng.random() < 0.5 else "night"
+
+    def sample_stairs(self, rng: np.random.Generator) -> StairSpec:
+        """A staircase alone."""
+        riser, tread = float(rng.uniform(*self.riser_height)), float(rng.uniform(*self.tread_depth))  # type: ignore[misc]
+        low, high = self.num_steps  # type: ignore[misc]
+        count = int(rng.integers(low, high + 1))
+        direction: Direction = self._sample_direction(rng)
+        if not self.details:
+            return StairSpec(direction, riser, tread, count)
+        uneven = rng.random() < UNEVEN_SHARE
+        width = float(np.exp(rng.normal(math.log(1.3), 0.3)))
+        return StairSpec(
+            direction=direction,
+            riser_height=riser,
+            tread_depth=tread,
+            num_steps=count,
+            flight_width=float(np.clip(width, 0.8, 3.0)),
+            landing_depth=float(rng.uniform(1.0, 2.5)),
+            riser_offsets=_offsets(rng, count, min(UNEVEN_LIMIT_M, 0.3 * riser)) if uneven else (),
+            tread_offsets=_offsets(rng, count, UNEVEN_LIMIT_M) if uneven else (),
+            nosing_overhang=float(rng.uniform(*OVERHANG_M)) if rng.random() < OVERHANG_SHARE else 0.0,
+            open_risers=bool(rng.random() < OPEN_RISER_SHARE),
+            side_walls=_side_walls(rng),
+            handrails=bool(rng.random() < 0.4),
+            stringers=bool(rng.random() < 0.25),
+        )
+
+    def _sample_direction(self, rng: np.random.Generator) -> Direction:
+        options: dict[str, tuple[Direction, ...]] = {
+            "both": ("up", "down"),
+            "any": ("up", "down", "up", "down", "up_down"),
+        }
+        choices = options.get(self.direction, (self.direction,))  # type: ignore[arg-type]
+        return choices[int(rng.integers(len(choices)))]
+
+    def _sample_surroundings(self, rng: np.random.Generator, stairs: StairSpec | None) -> SurroundingsSpec:
+        if not self.surroundings:
+            return SurroundingsSpec()
+        kinds = tuple(SURROUNDINGS_SHARES)
+        kind = kinds[int(rng.choice(len(kinds), p=list(SURROUNDINGS_SHARES.values())))]
+        reach = 2.0 if kind == "indoor" else 5.0
+        gaps = [0.0 if rng.random() < 0.25 else float(rng.uniform(0.3, reach)) for _ in range(2)]
+        if stairs is None:
+            gaps = [max(gap, 0.8) for gap in gaps]
+        window: WindowSide = "none"
+        if kind == "indoor" and rng.random() < 0.4:
+            window = "left" if rng.random() < 0.5 else "right"
+        return SurroundingsSpec(
+            kind=kind,
+            back_gap=float(rng.uniform(0.0, 3.0)) + (1.0 if stairs is None else 0.0),
+            left_gap=gaps[0],
+            right_gap=gaps[1],
+            headroom=float(rng.uniform(2.2, 3.2)),
+            window=window,
+            panels=int(rng.integers(0, 4)),
+            seed=int(rng.integers(2**30)),
+        )
+
+
+def _offsets(rng: np.random.Generator, count: int, limit: float) -> tuple[float, ...]:
+    """Deviations of the steps from nominal, metres."""
+    return tuple(float(value) for value in np.clip(rng.normal(0.0, UNEVEN_STD_M, count), -limit, limit))
+
+
+def _side_walls(rng: np.random.Generator) -> SideWalls:
+    options: tuple[SideWalls, ...] = ("none", "none", "none", "left", "right", "both")
+    return options[int(rng.integers(len(options)))]
