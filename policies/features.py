@@ -1,0 +1,80 @@
+"""How a network reads the observation: the stair block on a fixed scale, everything else as it comes.
+
+`VecNormalize` suits the proprioception, but not the stair block: under a curriculum its statistics drift with the
+level, and a constant tread depth would be blown up to noise. Importing this module loads torch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.preprocessing import get_flattened_obs_dim
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac.policies import MultiInputPolicy as SacMultiInputPolicy
+
+from stair_env.observation import STAIR_FIELDS
+
+STAIR_KEY = "stair"
+
+# (middle, half span) of what each field takes on real stairs: treads 0.22-0.38 m, risers 0.05-0.19 m, an edge
+# within a tread or so, a heading error of some 15 degrees, a measurement as old as a slow camera makes it.
+STAIR_SCALE: dict[str, tuple[float, float]] = {
+    "valid": (0.0, 1.0),
+    "direction": (0.0, 1.0),
+    "step_width": (0.30, 0.08),
+    "step_height": (0.12, 0.07),
+    "edge_distance": (0.15, 0.30),
+    "heading_error": (0.0, 0.25),
+    "age": (0.0, 0.50),
+    "confidence": (0.0, 1.0),
+}
+CLIP = 5.0  # scaled fields beyond this carry no more than "far"
+
+
+class StairFeatures(BaseFeaturesExtractor):
+    """Concatenates a Dict observation into one vector (B, n); the fields of `stair` are centred and scaled.
+
+    An invalid block (valid = 0) stays all zero, which is not what scaling zeros would give.
+    """
+
+    middle: torch.Tensor  # (8,)
+    half_span: torch.Tensor  # (8,)
+
+    def __init__(self, observation_space: gym.spaces.Dict) -> None:
+        if not isinstance(observation_space, gym.spaces.Dict):
+            raise ValueError(f"StairFeatures reads a Dict observation, got {observation_space}")
+        super().__init__(observation_space, sum(map(get_flattened_obs_dim, observation_space.spaces.values())))
+        scale = np.array([STAIR_SCALE[name] for name in STAIR_FIELDS], np.float32)
+        self.keys = tuple(observation_space.spaces)
+        self.register_buffer("middle", torch.as_tensor(scale[:, 0]), persistent=False)
+        self.register_buffer("half_span", torch.as_tensor(scale[:, 1]), persistent=False)
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Dict of (B, ...) tensors to (B, features_dim)."""
+        parts = [self._scaled(observations[key]) if key == STAIR_KEY else observations[key] for key in self.keys]
+        return torch.cat([part.flatten(1) for part in parts], dim=1)
+
+    def _scaled(self, stair: torch.Tensor) -> torch.Tensor:
+        """(B, 8) stair block to scaled fields, zero where the block is invalid."""
+        valid = (stair[:, :1] > 0.5).to(stair.dtype)
+        return valid * ((stair - self.middle) / self.half_span).clamp(-CLIP, CLIP)
+
+
+class StairActorCriticPolicy(MultiInputActorCriticPolicy):
+    """PPO's multi-input policy reading through StairFeatures."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs.setdefault("features_extractor_class", StairFeatures)
+        super().__init__(*args, **kwargs)
+
+
+class StairSacPolicy(SacMultiInputPolicy):
+    """SAC's multi-input policy reading through StairFeatures."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs["features_extractor_class"] = StairFeatures
+        super().__init__(*args, **kwargs)

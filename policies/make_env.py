@@ -1,0 +1,106 @@
+"""Building environments for Stable-Baselines3: by id and keyword arguments, one or many, normalised."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+import stair_env  # noqa: F401  (registers the ids, also in a worker process)
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+VEC_KINDS = ("subproc", "dummy")
+CLIMB_ID = "stair_env/StairClimb-v0"
+PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
+ENV_IDS = (CLIMB_ID, PERCEPTION_ID)
+NORMALISED_KEYS = ("proprio",)
+_PRELOADED = ["stable_baselines3.common.vec_env.subproc_vec_env", "policies.make_env"]
+
+
+def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monitor: bool = True) -> gym.Env:
+    """Build one environment.
+
+    Args:
+        env_id: a registered id.
+        env_kwargs: keyword arguments of the environment.
+        monitor: wrap in SB3's Monitor, which reports return and length of each episode in `info["episode"]`.
+
+    Raises:
+        ValueError: a keyword argument has a wrong value.
+        gymnasium.error.Error: unknown id.
+    """
+    env = gym.make(env_id, **dict(env_kwargs or {}))
+    if not monitor:
+        return env
+    from stable_baselines3.common.monitor import Monitor
+
+    wrapped: gym.Env = Monitor(env)
+    return wrapped
+
+
+def make_vec_env(
+    env_id: str,
+    num_envs: int,
+    env_kwargs: Mapping[str, Any] | None = None,
+    *,
+    seed: int = 0,
+    kind: str = "subproc",
+) -> VecEnv:
+    """Build SB3's vector of environments.
+
+    Args:
+        env_id: a registered id.
+        num_envs: how many.
+        env_kwargs: keyword arguments, the same for each.
+        seed: environment i is seeded with seed + i at its first reset.
+        kind: "subproc" (one process each, started safely from a thread-free server) or "dummy" (this process).
+
+    Raises:
+        ValueError: wrong kind or count, or a keyword argument of the environment is wrong.
+    """
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+    if kind not in VEC_KINDS:
+        raise ValueError(f"kind={kind!r} must be one of {', '.join(VEC_KINDS)}")
+    if num_envs < 1:
+        raise ValueError(f"num_envs={num_envs!r} must be >= 1")
+    factory = functools.partial(make_env, env_id, dict(env_kwargs or {}))
+    factory().close()  # a wrong argument is reported here, in one piece, and not by a dying worker
+    factories: list[Callable[[], gym.Env]] = [factory] * num_envs
+    venv: VecEnv = (
+        DummyVecEnv(factories) if kind == "dummy" else SubprocVecEnv(factories, start_method=_prepared_start_method())
+    )
+    venv.seed(seed)
+    return venv
+
+
+def _prepared_start_method() -> str:
+    """A start method that copies no threads; a fork server loads the libraries once for all workers."""
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read by libraries at load, so this process keeps its own setting
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return "spawn"
+    multiprocessing.set_forkserver_preload(_PRELOADED)
+    return "forkserver"
+
+
+def normalise(venv: VecEnv, *, gamma: float, options: Mapping[str, Any] | None = None) -> VecNormalize:
+    """Wrap in VecNormalize; of a Dict observation only the proprioception is normalised.
+
+    Args:
+        venv: environments.
+        gamma: discount of the return whose spread scales the reward.
+        options: arguments of VecNormalize that differ from these defaults.
+    """
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    chosen: dict[str, Any] = {"gamma": gamma}
+    if isinstance(venv.observation_space, gym.spaces.Dict):
+        chosen["norm_obs_keys"] = [key for key in NORMALISED_KEYS if key in venv.observation_space.spaces]
+    return VecNormalize(venv, **{**chosen, **dict(options or {})})

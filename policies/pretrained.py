@@ -1,0 +1,236 @@
+"""Policies that come with the package, loaded by name.
+
+A policy file is a pickle, and a pickle runs code. Shipped files are therefore read once, compared with the SHA-256 in
+`weights/manifest.json`, and unpickled from those same bytes. A path of your own is not in the manifest: naming it means
+trusting it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+
+from policies.checkpoints import MODEL_FILE, NORMALISATION_FILE
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+WEIGHTS_FOLDER = Path(__file__).parent / "weights"
+MANIFEST_FILE = "manifest.json"
+CARD_FILE = "card.json"
+FILES = (MODEL_FILE, NORMALISATION_FILE)
+
+
+class PolicyError(ValueError):
+    """A policy cannot be loaded or does not fit; the message says why and what would."""
+
+
+class Policy:
+    """A trained policy with its normalisation: observation in, action out.
+
+    Attributes:
+        name: shipped name, or the folder it came from.
+        card: how it was trained and how well it does.
+        observation_space, action_space: what it was trained on.
+    """
+
+    def __init__(self, name: str, model: BaseAlgorithm, normalisation: Any, card: Mapping[str, Any]) -> None:
+        self.name = name
+        self.card = dict(card)
+        self._model = model
+        self._normalisation = normalisation
+        self.observation_space: gym.Space = model.observation_space
+        self.action_space: gym.Space = model.action_space
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        """Action for one observation or a batch of them, as the environment gives them (not normalised).
+
+        Args:
+            observation: an observation of `observation_space`, with or without a leading batch axis.
+            state, episode_start: as in SB3; unused by policies without memory.
+            deterministic: the most likely action instead of a drawn one.
+
+        Returns:
+            (action float32, state), as SB3's `predict`.
+        """
+        if self._normalisation is not None:
+            observation = self._normalisation.normalize_obs(observation)
+        return self._model.predict(observation, state, episode_start, deterministic)
+
+    def check_spaces(self, env: gym.Env) -> None:
+        """Refuse an environment that the policy was not trained on.
+
+        Raises:
+            PolicyError: naming the space and both sides of the difference.
+        """
+        for kind in ("observation_space", "action_space"):
+            trained, given = getattr(self, kind), getattr(env, kind)
+            difference = describe_difference(trained, given)
+            if difference:
+                raise PolicyError(f"policy {self.name!r} does not fit the environment: {kind} {difference}")
+
+
+def names() -> tuple[str, ...]:
+    """Names of the shipped policies."""
+    return tuple(sorted(_manifest(WEIGHTS_FOLDER)))
+
+
+def locate(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> Path:
+    """Folder of a policy by shipped name or path; a shipped one's files are checked against the manifest.
+
+    Args:
+        policy: a name, a folder with `model.zip`, or a `.zip` file.
+        weights: folder of shipped policies.
+
+    Raises:
+        PolicyError: no such policy, or a shipped file was changed.
+    """
+    shipped = _manifest(weights)
+    if str(policy) in shipped:
+        _read_checked(str(policy), weights)
+        return weights / str(policy)
+    path = Path(policy)
+    folder = path.parent if path.suffix == ".zip" else path
+    if not (folder / MODEL_FILE).is_file():
+        choices = ", ".join(sorted(shipped)) or "none shipped yet"
+        raise PolicyError(
+            f"policy={str(policy)!r} is neither a shipped name ({choices}) nor a folder with {MODEL_FILE}"
+        )
+    return folder
+
+
+def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER) -> Policy:
+    """Load a policy.
+
+    Args:
+        policy: a shipped name (see `names`), a folder with `model.zip`, or a `.zip` file beside `vecnormalize.pkl`.
+        env: environment whose spaces must match.
+        weights: folder of shipped policies.
+
+    Raises:
+        PolicyError: unknown name, changed file, or spaces that do not match.
+    """
+    folder = locate(policy, weights)
+    if str(policy) in _manifest(weights):
+        contents = _read_checked(str(policy), weights)
+    else:
+        contents = {name: (folder / name).read_bytes() for name in FILES if (folder / name).is_file()}
+    card_file = folder / CARD_FILE
+    card = json.loads(card_file.read_text(encoding="utf-8")) if card_file.is_file() else {}
+    loaded = _unpickle(str(policy), contents, card)
+    if env is not None:
+        loaded.check_spaces(env)
+    return loaded
+
+
+def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER) -> Path:
+    """Put a trained policy among the shipped ones and enter its hashes in the manifest.
+
+    Args:
+        folder: a run's `final/` folder.
+        name: name to ship it under.
+        weights: folder of shipped policies.
+
+    Raises:
+        PolicyError: the folder holds no policy.
+    """
+    from stair_env.provenance import atomic_path
+
+    source = locate(folder, weights)
+    target = weights / name
+    target.mkdir(parents=True, exist_ok=True)
+    hashes = {}
+    for file in (*FILES, CARD_FILE):
+        if (source / file).is_file():
+            content = (source / file).read_bytes()
+            (target / file).write_bytes(content)
+            if file in FILES:
+                hashes[file] = hashlib.sha256(content).hexdigest()
+    manifest = {**_manifest(weights), name: hashes}
+    with atomic_path(weights / MANIFEST_FILE) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    return target
+
+
+def describe_difference(trained: gym.Space, given: gym.Space) -> str:
+    """In words, how two spaces differ; "" when a policy for one works on the other."""
+    if isinstance(trained, gym.spaces.Dict) and isinstance(given, gym.spaces.Dict):
+        if set(trained.spaces) != set(given.spaces):
+            return f"has keys {sorted(given.spaces)}, the policy was trained on {sorted(trained.spaces)}"
+        parts = ((key, describe_difference(space, given.spaces[key])) for key, space in trained.spaces.items())
+        return next((f"[{key!r}] {text}" for key, text in parts if text), "")
+    if type(trained) is not type(given) or trained.shape != given.shape or trained.dtype != given.dtype:
+        return f"is {_brief(given)}, the policy was trained on {_brief(trained)}"
+    if isinstance(trained, gym.spaces.Box) and isinstance(given, gym.spaces.Box) and trained != given:
+        return "has other bounds than the policy was trained on"
+    return ""
+
+
+def _brief(space: gym.Space) -> str:
+    return f"{type(space).__name__} of shape {space.shape}, {space.dtype}"
+
+
+def _manifest(weights: Path) -> dict[str, dict[str, str]]:
+    """Name -> file -> SHA-256; empty where nothing is shipped."""
+    path = weights / MANIFEST_FILE
+    if not path.is_file():
+        return {}
+    manifest: dict[str, dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))
+    return manifest
+
+
+def _read_checked(name: str, weights: Path) -> dict[str, bytes]:
+    """The bytes of a shipped policy's files, each equal to its hash in the manifest."""
+    contents = {}
+    for file, expected in _manifest(weights)[name].items():
+        path = weights / name / file
+        if not path.is_file():
+            raise PolicyError(f"policy {name!r}: {file} is missing; install the package again")
+        contents[file] = path.read_bytes()
+        found = hashlib.sha256(contents[file]).hexdigest()
+        if found != expected:
+            raise PolicyError(
+                f"policy {name!r}: {file} has SHA-256 {found[:12]}..., expected {expected[:12]}...; it was changed "
+                "or cut short and is not loaded"
+            )
+    return contents
+
+
+def _unpickle(name: str, contents: Mapping[str, bytes], card: Mapping[str, Any]) -> Policy:
+    from policies.training import algorithm_class
+
+    try:
+        model = algorithm_class(card.get("algorithm", "ppo")).load(io.BytesIO(contents[MODEL_FILE]), device="cpu")
+    except (KeyError, ValueError, EOFError, pickle.UnpicklingError, OSError) as error:
+        raise PolicyError(f"policy {name!r}: {MODEL_FILE} is no Stable-Baselines3 model: {error}") from None
+    normalisation = None
+    if NORMALISATION_FILE in contents:
+        normalisation = pickle.loads(contents[NORMALISATION_FILE])
+        normalisation.training = False
+        normalisation.norm_reward = False
+    return Policy(name, model, normalisation, card)
+
+
+def _main() -> None:
+    """`python -m policies.pretrained RUN/final NAME` ships a policy."""
+    import argparse
+
+    parser = argparse.ArgumentParser(prog="python -m policies.pretrained", description=add.__doc__)
+    parser.add_argument("folder")
+    parser.add_argument("name")
+    args = parser.parse_args()
+    print(add(args.folder, args.name))
+
+
+if __name__ == "__main__":
+    _main()
