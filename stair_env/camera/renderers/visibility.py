@@ -164,14 +164,14 @@ def to_camera(rotations, centres, camera_to_world):  # type: ignore[no-untyped-d
 
 
 @kernel
-def tile_entry(x0, x1, y0, y1, m, o, half):  # type: ignore[no-untyped-def]
-    """Lower bound of the depth at which a bundle of rays enters a box; huge when no ray can."""
+def bundle_entry(x0, x1, y0, y1, m, o, half, i):  # type: ignore[no-untyped-def]
+    """Lower bound of the depth at which a bundle of rays enters the bounding box of solid i; huge when no ray can."""
     enter, leave = _ZERO, _HUGE
     for a in range(3):
-        mx, my, mz = m[3 * a], m[3 * a + 1], m[3 * a + 2]
+        mx, my, mz = m[i, 3 * a], m[i, 3 * a + 1], m[i, 3 * a + 2]
         low = min(mx * x0, mx * x1) + min(my * y0, my * y1) + mz
         high = max(mx * x0, mx * x1) + max(my * y0, my * y1) + mz
-        near_face, far_face = -half[a] - o[a], half[a] - o[a]
+        near_face, far_face = -half[i, a] - o[i, a], half[i, a] - o[i, a]
         if high < _ZERO:  # towards the negative side: mirror the axis
             low, high = -high, -low
             near_face, far_face = -far_face, -near_face
@@ -183,9 +183,8 @@ def tile_entry(x0, x1, y0, y1, m, o, half):  # type: ignore[no-untyped-def]
             continue
         if far_face < _ZERO:
             return _HUGE
-        low = max(low, _TINY)
-        enter = max(enter, near_face / high if near_face > _ZERO else _ZERO)
-        leave = min(leave, far_face / low)
+        enter = max(enter, near_face / high)
+        leave = min(leave, far_face / max(low, _TINY))
     return enter if enter <= leave else _HUGE
 
 
@@ -213,6 +212,14 @@ def _hit(kind, depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-
 
 
 @kernel
+def _maximum(values):  # type: ignore[no-untyped-def]
+    found = values[0]
+    for k in range(values.shape[0]):
+        found = values[k] if values[k] > found else found
+    return found
+
+
+@kernel
 def trace_rows(rows, rx, ry, kinds, sizes, bounds, m, o, near, far, depth, ids):  # type: ignore[no-untyped-def]
     """Fill whole rows of tiles.
 
@@ -226,25 +233,35 @@ def trace_rows(rows, rx, ry, kinds, sizes, bounds, m, o, near, far, depth, ids):
         ids: (H, W) int32 out, -1 where nothing is hit.
     """
     height, width, n = depth.shape[0], depth.shape[1], kinds.shape[0]
-    tile_x, tile_y = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
-    tile_depth, tile_ids = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.int32)
-    entries, order = np.empty(n, np.float32), np.empty(n, np.int64)
+    buffer_x, buffer_y = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
+    buffer_depth, buffer_ids = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.int32)
+    entries, order, in_row = np.empty(n, np.float32), np.empty(n, np.int64), np.empty(n, np.int64)
     for row in rows:
         v0 = row * TILE
         v1 = min(v0 + TILE, height)
+        candidates = 0
+        for i in range(n):
+            if bundle_entry(rx[0], rx[width - 1], ry[v0], ry[v1 - 1], m, o, bounds, i) < far:
+                in_row[candidates] = i
+                candidates += 1
         for u0 in range(0, width, TILE):
             u1 = min(u0 + TILE, width)
             columns = u1 - u0
             pixels = columns * (v1 - v0)
-            for v in range(v0, v1):
-                start = (v - v0) * columns
-                tile_x[start : start + columns] = rx[u0:u1]
-                tile_y[start : start + columns] = ry[v]
-            tile_depth[:] = far
-            tile_ids[:] = -1
+            tile_x, tile_y, tile_depth, tile_ids = (
+                buffer_x[:pixels], buffer_y[:pixels], buffer_depth[:pixels], buffer_ids[:pixels],
+            )  # fmt: skip
+            for v in range(v1 - v0):
+                for u in range(columns):
+                    tile_x[v * columns + u] = rx[u0 + u]
+                    tile_y[v * columns + u] = ry[v0 + v]
+            for k in range(pixels):
+                tile_depth[k] = far
+                tile_ids[k] = -1
             found = 0
-            for i in range(n):
-                entry = tile_entry(rx[u0], rx[u1 - 1], ry[v0], ry[v1 - 1], m[i], o[i], bounds[i])
+            for c in range(candidates):
+                i = in_row[c]
+                entry = bundle_entry(rx[u0], rx[u1 - 1], ry[v0], ry[v1 - 1], m, o, bounds, i)
                 if entry < far:
                     entries[found], order[found] = entry, i
                     found += 1
@@ -255,12 +272,11 @@ def trace_rows(rows, rx, ry, kinds, sizes, bounds, m, o, near, far, depth, ids):
                     break
                 i = order[j]
                 _hit(
-                    kinds[i], tile_depth[:pixels], tile_ids[:pixels], tile_x[:pixels], tile_y[:pixels],
-                    m[i], o[i], sizes[i], near, np.int32(i),
+                    kinds[i], tile_depth, tile_ids, tile_x, tile_y, m[i], o[i], sizes[i], near, np.int32(i)
                 )  # fmt: skip
-                farthest = tile_depth[:pixels].max()
-            for v in range(v0, v1):
-                for u in range(u0, u1):
-                    k = (v - v0) * columns + u - u0
-                    ids[v, u] = tile_ids[k]
-                    depth[v, u] = tile_depth[k] if tile_ids[k] >= 0 else _ZERO
+                farthest = _maximum(tile_depth)
+            for v in range(v1 - v0):
+                for u in range(columns):
+                    k = v * columns + u
+                    ids[v0 + v, u0 + u] = tile_ids[k]
+                    depth[v0 + v, u0 + u] = tile_depth[k] if tile_ids[k] >= 0 else _ZERO
