@@ -14,7 +14,6 @@ from stair_env.looks import draw_light, draw_materials
 from stair_env.placement import draw_distractors
 from stair_env.scene_spec import Scene, SceneSpec
 from stair_env.stairs import (
-    DIRECTIONS,
     RISER_RANGE_M,
     STEP_COUNT_RANGE,
     TREAD_RANGE_M,
@@ -30,7 +29,13 @@ from stair_env.viewpoints import sample_camera_pose
 
 __all__ = ["Scene", "SceneSampler", "SceneSpec", "sample_camera_pose"]
 
-SAMPLED_DIRECTIONS: tuple[str, ...] = (*DIRECTIONS, "both", "any")
+DIRECTION_CHOICES: dict[str, tuple[Direction, ...]] = {
+    "up": ("up",),
+    "down": ("down",),
+    "up_down": ("up_down",),
+    "both": ("up", "down"),
+    "any": ("up", "down", "up", "down", "up_down"),
+}
 SAMPLED_LIGHTINGS: tuple[str, ...] = (*LIGHTINGS, "random")
 UNEVEN_SHARE = 0.4
 UNEVEN_STD_M = 0.004  # building codes allow about 5 mm between neighbouring steps; old stairs exceed it
@@ -90,13 +95,13 @@ class SceneSampler:
     details: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))  # type: ignore[arg-type]
-        object.__setattr__(self, "tread_depth", as_range("tread_depth", self.tread_depth, *TREAD_RANGE_M))  # type: ignore[arg-type]
-        steps = as_range("num_steps", self.num_steps, *STEP_COUNT_RANGE)  # type: ignore[arg-type]
+        object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))
+        object.__setattr__(self, "tread_depth", as_range("tread_depth", self.tread_depth, *TREAD_RANGE_M))
+        steps = as_range("num_steps", self.num_steps, *STEP_COUNT_RANGE)
         if any(end != int(end) for end in steps):
             raise SpecError(f"num_steps={self.num_steps!r} must be whole numbers")
         object.__setattr__(self, "num_steps", (int(steps[0]), int(steps[1])))
-        check_choice("direction", self.direction, SAMPLED_DIRECTIONS)
+        check_choice("direction", self.direction, tuple(DIRECTION_CHOICES))
         check_choice("lighting", self.lighting, SAMPLED_LIGHTINGS)
         check_range("negatives", self.negatives, 0.0, 1.0)
 
@@ -144,11 +149,7 @@ class SceneSampler:
         )
 
     def _sample_direction(self, rng: np.random.Generator) -> Direction:
-        options: dict[str, tuple[Direction, ...]] = {
-            "both": ("up", "down"),
-            "any": ("up", "down", "up", "down", "up_down"),
-        }
-        choices = options.get(self.direction, (self.direction,))  # type: ignore[arg-type]
+        choices = DIRECTION_CHOICES[self.direction]
         return choices[int(rng.integers(len(choices)))]
 
     def _sample_surroundings(self, rng: np.random.Generator, stairs: StairSpec | None) -> SurroundingsSpec:

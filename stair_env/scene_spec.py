@@ -106,7 +106,8 @@ class Scene:
     @functools.cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """Every solid: the stairs, their nosing strips, the surroundings, then the distractors."""
-        spec, shapes = self.spec, []
+        spec = self.spec
+        shapes: list[Shape] = []
         if spec.stairs is not None:
             shapes.extend(build_stair_shapes(spec.stairs))
             if spec.appearance.nosing_strip is not None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.fft
 
 from stair_env.stairs import check_choice
 
@@ -74,35 +75,38 @@ def noise(rng: np.random.Generator, low: float, high: float, slope: float = 1.0,
     """
     frequency = _frequencies(stretch)
     gain = np.where((frequency >= low) & (frequency <= high), frequency**-slope, 0.0).astype(np.float32)
-    white = np.fft.rfft2(rng.standard_normal((TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), dtype=np.float32))
-    field = np.fft.irfft2(white * gain, s=(TEXTURE_SIZE_PX, TEXTURE_SIZE_PX))
-    return (field / max(float(field.std()), 1e-9)).astype(np.float32)
+    white = scipy.fft.rfft2(rng.standard_normal((TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), dtype=np.float32))
+    field: np.ndarray = scipy.fft.irfft2(white * gain, s=(TEXTURE_SIZE_PX, TEXTURE_SIZE_PX))
+    return field / max(float(field.std()), 1e-9)
 
 
-def cells(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tileable Voronoi cells around count x count jittered points.
+def _paint_chips(
+    rng: np.random.Generator, image: np.ndarray, colours: np.ndarray, count: int, radius: tuple[float, float]
+) -> None:
+    """Paint angular chips of stone into a (256, 256, 3) float32 image, wrapping round its borders.
 
-    Returns:
-        nearest, second: (256, 256) float32 distance to the two nearest points, in cell sizes.
-        index: (256, 256) int32 number of the nearest point, 0 to count**2 - 1.
+    Args:
+        rng: the source of all chance.
+        image: painted in place.
+        colours: (k, 3) to choose from.
+        count: number of chips.
+        radius: (low, high) in pixels.
     """
-    points = rng.uniform(0.05, 0.95, size=(count, count, 2)).astype(np.float32)
-    axis = (np.arange(TEXTURE_SIZE_PX, dtype=np.float32) + 0.5) * (count / TEXTURE_SIZE_PX)
-    cell = axis.astype(np.int32)
-    nearest = np.full((TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), 9.0, np.float32)
-    second, index = nearest.copy(), np.zeros(nearest.shape, np.int32)
-    for d_row in (-1, 0, 1):
-        for d_column in (-1, 0, 1):
-            rows, columns = (cell + d_row) % count, (cell + d_column) % count
-            point = points[rows[:, None], columns[None, :]]
-            y = (cell + d_row - axis)[:, None] + point[..., 0]
-            x = (cell + d_column - axis)[None, :] + point[..., 1]
-            distance = np.sqrt(x * x + y * y)
-            closer = distance < nearest
-            second = np.where(closer, nearest, np.minimum(second, distance))
-            index[closer] = (rows[:, None] * count + columns[None, :])[closer]
-            nearest = np.minimum(nearest, distance)
-    return nearest, second, index
+    import cv2
+
+    corners = 7
+    angles = (np.arange(corners) + rng.uniform(-0.38, 0.38, (count, corners))) * (2 * np.pi / corners)
+    radii = rng.uniform(*radius, (count, 1)) * rng.uniform(0.65, 1.1, (count, corners))
+    outline = np.stack([radii * np.cos(angles), radii * np.sin(angles) * rng.uniform(0.6, 1.0, (count, 1))], axis=-1)
+    centre = rng.uniform(0, TEXTURE_SIZE_PX, (count, 1, 2))
+    fills = colours[rng.integers(len(colours), size=count)] * rng.uniform(0.85, 1.12, (count, 1))
+    wraps = TEXTURE_SIZE_PX * np.array([(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)])
+    moved = centre + wraps  # (count, 9, 2)
+    margin = 1.2 * radius[1]
+    which, wrap = np.nonzero(np.all((moved > -margin) & (moved < TEXTURE_SIZE_PX + margin), axis=-1))
+    points = np.round((outline[which] + moved[which, wrap][:, None]) * 16).astype(np.int32)
+    for polygon, fill in zip(points, fills[which].tolist()):
+        cv2.fillPoly(image, [polygon], fill, lineType=cv2.LINE_AA, shift=4)
 
 
 def _grid() -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +140,10 @@ def _hsv(rng: np.random.Generator, hue: Colour, saturation: Colour, value: Colou
 def _pick(rng: np.random.Generator, colours: tuple[Colour, ...], jitter: float = 0.04) -> np.ndarray:
     """One of the colours, slightly off, (3,) float32."""
     colour = np.asarray(colours[int(rng.integers(len(colours)))], np.float32)
-    return np.clip(colour * (1 + jitter * rng.standard_normal()) + 0.5 * jitter * rng.standard_normal(3), 0.02, 0.98)
+    warm = 0.4 * jitter * rng.standard_normal()
+    shift = 1 + jitter * rng.standard_normal() + np.array([warm, 0.0, -warm])
+    picked: np.ndarray = np.clip(colour * shift, 0.02, 0.98).astype(np.float32)
+    return picked
 
 
 CONCRETES: tuple[Colour, ...] = (
@@ -148,18 +155,18 @@ CONCRETES: tuple[Colour, ...] = (
 )
 
 
+STAIN = np.array([0.84, 0.81, 0.77], np.float32)
+
+
 def _concrete(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     base = _pick(rng, CONCRETES)
-    cloud = noise(rng, 1, 24, 1.3)
-    stain = noise(rng, 1, 8, 1.0)
+    cloud = noise(rng, 1, 24, 1.1)
+    stain = noise(rng, 1, 40, 1.4)
     grain = noise(rng, 30, 128, 0.2)
-    shade = 1 + 0.045 * cloud + 0.035 * grain
-    nearest, _, index = cells(rng, 34)
-    pore_size = rng.uniform(-1.2, 0.22, 34 * 34).astype(np.float32)[index]  # most cells have none
-    pores = 1 - _step(0, nearest - np.maximum(pore_size, -0.5), 0.12)
-    image = base * shade[..., None]
-    image = _mix(image, image * np.array([0.82, 0.79, 0.74], np.float32), _step(0.9, stain, 1.6) * 0.8)
-    image = _mix(image, image * 0.55, pores * 0.8)
+    pores = _step(2.9, noise(rng, 18, 70, 0.0), 0.5)
+    image = base * (1 + 0.03 * cloud + 0.035 * grain)[..., None]
+    image = _mix(image, image * STAIN, _step(1.0, stain, 2.4) * float(rng.uniform(0.1, 0.7)))
+    image = _mix(image, image * 0.5, pores * float(rng.uniform(0.2, 0.9)))
     return image, Finish(0.9, 0.04, 8.0, 0.03)
 
 
@@ -179,15 +186,13 @@ def _terrazzo(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
         np.float32,
     )
     image = base * (1 + 0.015 * noise(rng, 1, 12, 1.2) + 0.02 * noise(rng, 40, 128, 0.0))[..., None]
-    for count, share, size in ((44, 0.55, 0.33), (22, 0.5, 0.36), (11, 0.3, 0.34)):
-        nearest, second, index = cells(rng, count)
-        palette = chips[rng.choice(len(chips), size=count * count, p=rng.dirichlet(np.full(len(chips), 1.2)))]
-        palette = palette * rng.uniform(0.85, 1.1, (count * count, 1)).astype(np.float32)
-        present = (rng.random(count * count) < share).astype(np.float32)[index]
-        radius = rng.uniform(0.5 * size, 1.3 * size, count * count).astype(np.float32)[index]
-        inside = _step(0.06, np.minimum(second - nearest, 1.5 * (radius - nearest)), 0.12)
-        image = _mix(image, palette[index], inside * present)
-    return image, Finish(0.6, 0.35, 60.0, 0.15)
+    chosen = chips[rng.choice(len(chips), size=int(rng.integers(2, 5)), replace=False)]
+    coarse = float(rng.uniform(0.0, 1.0))
+    image = np.ascontiguousarray(image, np.float32)
+    _paint_chips(rng, image, chosen, 420, (0.8, 2.2))
+    _paint_chips(rng, image, chosen, int(150 + 90 * coarse), (2.0, 5.0))
+    _paint_chips(rng, image, chosen, int(40 * coarse), (5.0, 11.0))
+    return image * (1 + 0.012 * noise(rng, 1, 30, 0.8))[..., None], Finish(0.6, 0.35, 60.0, 0.15)
 
 
 WOODS: tuple[tuple[Colour, Colour], ...] = (  # light and dark part of the grain
@@ -318,13 +323,13 @@ def _chequer_plate(count: int) -> np.ndarray:
 
 
 def _carpet(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
-    base = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.1, 0.65, 0), (0.22, 0.62, 0)), np.float32)
+    base = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.08, 0.5, 0), (0.22, 0.6, 0)), np.float32)
     pile = noise(rng, 40, 128, 0.1)
     loops = noise(rng, 60, 100, 0.0)
     image = base * (1 + 0.13 * pile + 0.07 * loops + 0.03 * noise(rng, 1, 10, 1.0))[..., None]
     rows, columns = _grid()
     style = rng.random()
-    accent = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.1, 0.6, 0), (0.3, 0.75, 0)), np.float32)
+    accent = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.08, 0.45, 0), (0.3, 0.75, 0)), np.float32)
     accent_image = accent * (1 + 0.14 * pile)[..., None]
     if style < 0.2:  # stripes
         image = _mix(image, accent_image, _step(0.75, np.cos(2 * np.pi * 4 * columns), 0.15))
