@@ -1,0 +1,122 @@
+"""Shipped policies: loaded by name, checked before they are unpickled, refused where they do not fit."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from policies import checkpoints, pretrained
+from policies.make_env import make_env, make_vec_env, normalise
+from policies.pretrained import PolicyError
+from policies.training import algorithm_class
+
+
+@pytest.fixture()
+def run_folder(toy_id: str, tmp_path: Path) -> Path:
+    """A policy as a run's `final/` holds it, with statistics that matter."""
+    venv = normalise(make_vec_env(toy_id, 2, kind="dummy"), gamma=0.99)
+    model = algorithm_class("ppo")(
+        "MultiInputPolicy", venv, n_steps=64, batch_size=64, n_epochs=1, seed=1, device="cpu"
+    )
+    model.learn(128)
+    folder = tmp_path / "run" / "final"
+    checkpoints.save_policy(model, folder)
+    (folder / "card.json").write_text(json.dumps({"algorithm": "ppo", "timesteps": 128}))
+    return folder
+
+
+@pytest.fixture()
+def weights(run_folder: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "weights"
+    pretrained.add(run_folder, "toy", folder)
+    return folder
+
+
+def test_named_policy_acts_like_the_trained_one(weights: Path, run_folder: Path, toy_id: str) -> None:
+    env = make_env(toy_id)
+    policy = pretrained.load("toy", env, weights)
+    assert policy.card["timesteps"] == 128
+    observation, _ = env.reset(seed=0)
+    action, state = policy.predict(observation)
+    assert state is None and env.action_space.contains(action)
+
+    model = algorithm_class("ppo").load(run_folder / "model.zip")
+    statistics = pickle.loads((run_folder / "vecnormalize.pkl").read_bytes())
+    expected, _ = model.predict(statistics.normalize_obs(observation), deterministic=True)
+    unnormalised, _ = model.predict(observation, deterministic=True)
+    assert np.array_equal(action, expected) and not np.array_equal(action, unnormalised)
+
+
+def test_batches_and_single_observations_agree(weights: Path, toy_id: str) -> None:
+    env = make_env(toy_id)
+    policy = pretrained.load("toy", env, weights)
+    observations = [env.reset(seed=seed)[0] for seed in range(3)]
+    batch = {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}
+    together, _ = policy.predict(batch)
+    single = np.stack([policy.predict(observation)[0] for observation in observations])
+    assert np.allclose(together, single, atol=1e-6)
+
+
+@pytest.mark.parametrize("file", ["model.zip", "vecnormalize.pkl"])
+def test_changed_file_is_never_unpickled(file: str, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = weights / "toy" / file
+    path.write_bytes(path.read_bytes() + b"x")
+    monkeypatch.setattr(pretrained, "_unpickle", lambda *args: pytest.fail("unpickled a changed file"))
+    with pytest.raises(PolicyError, match=f"{file} has SHA-256"):
+        pretrained.load("toy", weights=weights)
+
+
+def test_missing_file_is_named(weights: Path) -> None:
+    (weights / "toy" / "model.zip").unlink()
+    with pytest.raises(PolicyError, match=r"model.zip is missing"):
+        pretrained.load("toy", weights=weights)
+
+
+def test_unknown_name_lists_the_choices(weights: Path) -> None:
+    with pytest.raises(PolicyError, match=r"'tyo'.*\(toy\)"):
+        pretrained.load("tyo", weights=weights)
+
+
+def test_a_folder_or_a_zip_of_ones_own_is_loaded(run_folder: Path, weights: Path) -> None:
+    for path in (run_folder, run_folder / "model.zip"):
+        assert pretrained.load(path, weights=weights).card["timesteps"] == 128
+
+
+def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
+    (tmp_path / "model.zip").write_bytes(b"no zip at all")
+    with pytest.raises(PolicyError, match="no Stable-Baselines3 model"):
+        pretrained.load(tmp_path)
+
+
+def test_other_spaces_are_refused(weights: Path, toy_id: str) -> None:
+    with pytest.raises(PolicyError, match=r"observation_space \['proprio'\].*\(4,\).*\(3,\)"):
+        pretrained.load("toy", make_env(toy_id, {"size": 4}), weights)
+
+
+BOX = gym.spaces.Box(-1, 1, (2,))
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (gym.spaces.Dict({"a": BOX}), ""),
+        (gym.spaces.Dict({"b": BOX}), "keys"),
+        (gym.spaces.Dict({"a": gym.spaces.Box(-1, 2, (2,))}), "bounds"),
+        (gym.spaces.Dict({"a": gym.spaces.Box(-1, 1, (2,), np.float64)}), "float64"),
+        (BOX, "Dict"),
+    ],
+)
+def test_differences_are_described(given: Any, expected: str) -> None:
+    text = pretrained.describe_difference(gym.spaces.Dict({"a": BOX}), given)
+    assert expected in text and bool(text) == bool(expected)
+
+
+def test_every_shipped_policy_loads() -> None:
+    for name in pretrained.names():
+        assert pretrained.load(name).card["env_id"]
