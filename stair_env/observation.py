@@ -35,7 +35,7 @@ PROPRIO_FIELDS: dict[str, tuple[int, float]] = {  # name: (length, bound)
     "contact": (4, 1.0),
     "foothold_height": (4, 1.0),  # where the gait wants each foot to stand, relative to the base's mean foothold
     "phase": (2, 1.0),  # sine and cosine of the gait's cycle
-    "last_action": (16, 1.0),
+    "last_action": (16, 1.0),  # twelve with actuation="joint"
 }
 
 
@@ -92,12 +92,14 @@ def stair_space() -> spaces.Box:
     return spaces.Box(STAIR_LOW, STAIR_HIGH, dtype=np.float32)
 
 
-def proprio_space() -> spaces.Box:
+def proprio_space(action_size: int = 16) -> spaces.Box:
     """Space of the proprioceptive block, fields in the order of PROPRIO_FIELDS."""
-    return spaces.Box(-PROPRIO_BOUND, PROPRIO_BOUND, dtype=np.float32)
+    bound = PROPRIO_BOUND[: PROPRIO_SLICES["last_action"].start + action_size]
+    return spaces.Box(-bound, bound, dtype=np.float32)
 
 
 def pack_proprio(fields: dict[str, np.ndarray]) -> np.ndarray:
     """Concatenate named fields in the documented order, clipped to the space's bounds, float32."""
     packed = np.concatenate([np.atleast_1d(fields[name]) for name in PROPRIO_FIELDS])
-    return np.clip(packed.astype(np.float32), -PROPRIO_BOUND, PROPRIO_BOUND)
+    bound = PROPRIO_BOUND[: len(packed)]
+    return np.clip(packed.astype(np.float32), -bound, bound)

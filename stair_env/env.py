@@ -1,0 +1,411 @@
+"""The environment: it sequences the other modules and decides nothing itself."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from stair_env.attitude import AttitudeFilter, base_to_level
+from stair_env.episode import (
+    LIGHTINGS,
+    SPAWNS,
+    Spawn,
+    StairRanges,
+    draw_spawn,
+    read_curriculum,
+    read_randomization,
+    standing_at,
+)
+from stair_env.gait import ACTION_SIZE, Gait
+from stair_env.imu import Imu, ImuConfig
+from stair_env.kinematics import LegKinematics
+from stair_env.motion import MotionRecorder
+from stair_env.observation import NO_STAIRS, StairBlock, pack_proprio, proprio_space, stair_space
+from stair_env.odometry import LegOdometry
+from stair_env.onlooker import Onlooker
+from stair_env.rewards import RewardWeights, StepOutcome, reward_terms, riser_hits
+from stair_env.robots import NUM_JOINTS, get_robot
+from stair_env.scene import build_stair_shapes
+from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
+from stair_env.sources import ExternalSource, HipPose, make_source, true_block
+from stair_env.stairs import SpecError, StairSpec, check_choice
+
+ACTUATIONS = ("gait", "joint")
+JOINT_ACTION_RAD = 0.5  # actuation="joint": an action of ±1 moves a joint this far from standing
+SETTLE_STEPS = 12  # control steps to stand still before the episode begins
+FALL_COSINE = 0.45  # trunk tilted more than 63° from upright
+FALL_HEIGHT_SHARE = 0.4  # of the standing height above the ground below
+WALKED_AWAY_M = 1.5  # behind the start
+
+RENDER_MODES = ("human", "rgb_array", "depth_array")
+
+
+class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
+    """A legged robot climbs a staircase that it knows from the stair block of its observation.
+
+    Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`).
+    Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.gait.GaitAction`), or with
+    actuation="joint" twelve joint offsets from standing.
+
+    Args:
+        robot: name in `stair_env.robots.ROBOTS`.
+        direction: "up", "down" or "both".
+        riser_height, tread_depth: a number or [low, high], metres (paper: step height and width).
+        num_steps: a number or [low, high].
+        lighting: "day", "night" or "random"; matters to cameras.
+        camera: renderer and sensor options; matters to the RGBD environment.
+        actuation: "gait" or "joint".
+        stair_source: what fills the stair block (`stair_env.sources`).
+        render_mode: "human", "rgb_array", "depth_array" or None.
+        curriculum: None, True or fields of `CurriculumConfig`.
+        randomization: None, True or fields of `Randomization`.
+        spawn: "floor", or "anywhere" to start some episodes on the flight.
+        uneven: largest deviation of single risers and treads, metres.
+        flight_width: metres.
+        reward_weights: fields of `RewardWeights` to change.
+
+    Raises:
+        SpecError: (a ValueError) an argument is wrong; the message names it, its value and the choices.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(CONTROL_RATE_HZ)}
+
+    def __init__(
+        self,
+        robot: str = "aliengo",
+        direction: str = "up",
+        riser_height: Any = (0.10, 0.17),
+        tread_depth: Any = (0.26, 0.34),
+        num_steps: Any = (4, 7),
+        lighting: str = "day",
+        camera: dict[str, Any] | None = None,
+        actuation: str = "gait",
+        stair_source: str = "oracle",
+        render_mode: str | None = None,
+        curriculum: Any = None,
+        randomization: Any = None,
+        spawn: str = "floor",
+        uneven: float = 0.0,
+        flight_width: float = 1.2,
+        reward_weights: dict[str, float] | None = None,
+    ) -> None:
+        self.robot = get_robot(robot)
+        self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
+        check_choice("lighting", lighting, LIGHTINGS)
+        check_choice("actuation", actuation, ACTUATIONS)
+        check_choice("spawn", spawn, SPAWNS)
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
+        self.camera_options = dict(camera or {})
+        self.render_mode = render_mode
+        self.randomization = read_randomization(randomization)
+        self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
+        self.source = make_source(stair_source)
+        self.weights = _read_weights(reward_weights)
+        self.action_size = ACTION_SIZE if actuation == "gait" else NUM_JOINTS
+        self.action_space = spaces.Box(-1.0, 1.0, (self.action_size,), np.float32)
+        self.observation_space = spaces.Dict({"proprio": proprio_space(self.action_size), "stair": stair_space()})
+        self._sim: Simulation | None = None
+        self._onlooker: Onlooker | None = None
+        self._gait = Gait(self.robot)
+        self._kinematics = LegKinematics(self.robot)
+        self._odometry = LegOdometry(self.robot)
+        self._attitude = AttitudeFilter(PHYSICS_RATE_HZ)
+        self._standing_joints = self._kinematics.joint_angles(self.robot.nominal_feet)
+
+    # ------------------------------------------------------------------ episode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: reseeds `np_random`.
+            options: "stairs": a StairSpec or its dict, to climb this very staircase;
+                "x", "y", "yaw": where the base starts.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        for name in options:
+            check_choice("option", name, ("stairs", "x", "y", "yaw"))
+        self.stairs = self._draw_stairs(options.get("stairs"))
+        self.profile = self.stairs.profile()
+        spawn = draw_spawn(self.stairs, self.robot, self.spawn, self.np_random)
+        if {"x", "y", "yaw"} & set(options):
+            defaults = {"x": spawn.position[0], "y": spawn.position[1], "yaw": spawn.yaw}
+            spawn = standing_at(self.stairs, self.robot, **{k: float(options.get(k, v)) for k, v in defaults.items()})
+        draws = self.randomization
+        friction = float(self.np_random.uniform(*draws.friction))
+        payload = float(self.np_random.uniform(*draws.payload_kg))
+        self._strength = float(self.np_random.uniform(*draws.motor_strength))
+        # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
+        seeds = self.np_random.integers(0, 2**63, size=4)
+        source_rng, imu_rng, self._body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
+        self._start(spawn, friction, payload, imu_rng)
+        self.source.reset(self.stairs, source_rng)
+        self._begin_sensors(camera_rng)
+        self._observe_stairs()
+        self._steps_climbed = self._steps_behind()
+        return self._observation(), self._info({}, {})
+
+    def _draw_stairs(self, given: Any) -> StairSpec:
+        drawn = self.ranges.draw(self.np_random, self.curriculum)
+        if given is None:
+            return drawn
+        return given if isinstance(given, StairSpec) else StairSpec.from_dict(given)
+
+    def _start(self, spawn: Spawn, friction: float, payload: float, imu_rng: np.random.Generator) -> None:
+        """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
+        if self._sim is None:
+            self._sim = Simulation(self.robot, gui=self.render_mode == "human")
+        sim = self._sim
+        sim.build(self._world_shapes(), friction)
+        sim.set_payload(payload)
+        joints = self._kinematics.joint_angles(spawn.feet_in_base)
+        sim.place_robot(spawn.position, spawn.yaw, joints, spawn.pitch)
+        for _ in range(SETTLE_STEPS * SUBSTEPS):
+            sim.command_joints(joints)
+            sim.step_physics()
+        self.time_s = 0.0
+        self._imu = Imu(ImuConfig(), imu_rng)
+        self._imu.reset(imu_rng, 1.0 / PHYSICS_RATE_HZ)
+        self._state = sim.base_state()
+        self._motion = MotionRecorder(self._state)
+        self._attitude.reset(self._state.rotation[2] * 9.81)
+        self._targets = joints
+        self._last_action = np.zeros(self.action_size)
+        self._odometry.reset()
+        self._odometry_velocity, self._yaw_rate = np.zeros(3), 0.0
+        self._gyro = np.zeros(3)
+        self._read_body()
+        feet = self._kinematics.foot_positions(self._joints) @ base_to_level(self._attitude.up).T
+        self._gait.reset(feet[:, 2] - feet[0, 2], phase=float(self._body_rng.random()), pitch=spawn.pitch)
+        self._start_x = float(spawn.position[0])
+        self._next_push_s = self._draw_push_time()
+        self._energy = 0.0
+
+    def _world_shapes(self) -> tuple[Any, ...]:
+        return build_stair_shapes(self.stairs)
+
+    def _begin_sensors(self, rng: np.random.Generator) -> None:
+        """Hook for environments with cameras: called once the robot stands."""
+
+    def _advance_sensors(self) -> None:
+        """Hook for environments with cameras: called after each control step."""
+
+    # ------------------------------------------------------------------ step
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """One control step of 1/48 s."""
+        if self._sim is None:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        if action.shape != (self.action_size,):
+            raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
+        before = self._state
+        self._move(action)
+        self._advance_sensors()
+        self._read_body()
+        self._observe_stairs()
+        steps_climbed = max(self._steps_climbed, self._steps_behind())
+        new_steps, self._steps_climbed = steps_climbed - self._steps_climbed, steps_climbed
+        termination = self._termination()
+        outcome = StepOutcome(
+            before=before,
+            after=self._state,
+            feet=self._feet,
+            contacts=self._contacts,
+            action=action,
+            last_action=self._last_action,
+            new_steps=new_steps,
+            slope_rad=self._local_slope(),
+            success=termination == "success",
+            fell=termination in ("fall", "left_flight", "walked_away"),
+            dt=CONTROL_DT,
+        )
+        terms = reward_terms(outcome, self.profile, self.weights)
+        self._last_action = action
+        if termination and self.curriculum is not None:
+            self.curriculum.report(termination == "success")
+            self._reported = True
+        info = self._info(terms, {"termination": termination} if termination else {})
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), float(sum(terms.values())), bool(termination), False, info
+
+    def _move(self, action: np.ndarray) -> None:
+        sim = self._sim
+        assert sim is not None
+        if self.actuation == "gait":
+            targets = self._gait.joint_targets(action, self._block, self._odometry_velocity, CONTROL_DT)
+        else:
+            targets = self._standing_joints + JOINT_ACTION_RAD * action
+        late = self.randomization.command_latency
+        sim.command_joints(self._targets if late and self._body_rng.random() < late else targets, self._strength)
+        self._targets = targets
+        if self.randomization.push_interval_s and self.time_s >= self._next_push_s:
+            sim.push(np.append(self._body_rng.uniform(-1, 1, 2) * self.randomization.push_speed, 0.0))
+            self._next_push_s = self._draw_push_time()
+        self._motion.begin()
+        for _ in range(SUBSTEPS):
+            sim.step_physics()
+            self._motion.record(sim.base_state())
+        self._state = self._motion.last
+        self.time_s += CONTROL_DT
+        force, rate = self._motion.at_point(np.zeros(3), np.eye(3))
+        accelerometer, gyro = self._imu.read_many(force, rate)
+        heading_before = self._attitude.sensor_to_level_with_yaw[:, 0]
+        self._attitude.update(accelerometer, gyro)
+        heading = self._attitude.sensor_to_level_with_yaw[:, 0]
+        turn = np.arctan2(heading[1], heading[0]) - np.arctan2(heading_before[1], heading_before[0])
+        self._yaw_rate = float((turn + np.pi) % (2 * np.pi) - np.pi) / CONTROL_DT
+        self._gyro = gyro[-1]
+
+    def _draw_push_time(self) -> float:
+        interval = self.randomization.push_interval_s
+        return self.time_s + float(self._body_rng.exponential(interval)) if interval else np.inf
+
+    def _read_body(self) -> None:
+        sim = self._sim
+        assert sim is not None
+        self._joints, self._joint_rates, torques = sim.joint_states()
+        self._contacts = sim.foot_contacts()
+        self._feet = sim.foot_positions()
+        level = base_to_level(self._attitude.up)
+        if self.time_s > 0:
+            self._odometry_velocity = self._odometry.update(
+                self._joints, self._contacts.touching, level, self._yaw_rate * CONTROL_DT, CONTROL_DT
+            )
+            self._energy += float(np.abs(torques * self._joint_rates).sum()) * CONTROL_DT
+
+    # ------------------------------------------------------------------ what comes out
+
+    def _hip_pose(self) -> HipPose:
+        yaw = self._state.yaw
+        reach = self.robot.hip_x[0] * float(np.hypot(self._state.rotation[0, 0], self._state.rotation[1, 0]))
+        return HipPose(float(self._state.position[0] + reach * np.cos(yaw)), yaw, self.time_s)
+
+    def _observe_stairs(self) -> None:
+        self._block = self.source.read(self._hip_pose())
+
+    def provide_stair(self, block: StairBlock | np.ndarray) -> None:
+        """Give the stair block that the gait reads at the next step (stair_source="external").
+
+        Raises:
+            RuntimeError: this environment fills the block itself.
+            ValueError: block is not (8,) finite numbers.
+        """
+        if not isinstance(self.source, ExternalSource):
+            raise RuntimeError('provide_stair() needs stair_source="external"')
+        block = block if isinstance(block, StairBlock) else StairBlock.from_array(block)
+        self.source.provide(block)
+        self._block = block
+
+    def _proprio(self) -> np.ndarray:
+        phase = 2 * np.pi * self._gait.phase
+        return pack_proprio(
+            {
+                "gravity": -self._attitude.up,
+                "angular_velocity": self._gyro,
+                "velocity": self._odometry_velocity,
+                "yaw_rate": np.array([self._yaw_rate]),
+                "joint_position": self._joints,
+                "joint_velocity": self._joint_rates,
+                "joint_error": self._targets - self._joints,
+                "contact": self._contacts.touching.astype(np.float64),
+                "foothold_height": self._gait.foothold_heights,
+                "phase": np.array([np.sin(phase), np.cos(phase)]),
+                "last_action": self._last_action,
+            }
+        )
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {"proprio": self._proprio(), "stair": self._block.as_array()}
+
+    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
+        truth = true_block(self.stairs, self.profile, self._hip_pose())
+        info: dict[str, Any] = {
+            "is_success": extra.get("termination") == "success",
+            "steps_climbed": self._steps_climbed,
+            "reward_terms": terms,
+            "truth": {
+                **dataclasses.asdict(truth),
+                "riser_height": self.stairs.riser_height,
+                "tread_depth": self.stairs.tread_depth,
+                "num_steps": len(self.profile.edge_x),
+                "position": self._state.position.tolist(),
+                "velocity": self._state.velocity.tolist(),
+                "yaw": self._state.yaw,
+                "riser_hits": int(riser_hits(self._contacts).sum()),
+                "energy_j": self._energy,
+            },
+            **extra,
+        }
+        if self.curriculum is not None:
+            info["curriculum_level"] = self.curriculum.level
+        return info
+
+    # ------------------------------------------------------------------ judgement (never seen by the policy)
+
+    def _steps_behind(self) -> int:
+        return int((self.profile.edge_x < self._state.position[0]).sum())
+
+    def _local_slope(self) -> float:
+        ground = self.profile.height_at(self._feet[:, 0])
+        return float(np.arctan2(ground[:2].mean() - ground[2:].mean(), self.robot.hip_x[0] - self.robot.hip_x[1]))
+
+    def _termination(self) -> str:
+        """Why the episode is over; empty while it is not."""
+        position, up = self._state.position, float(self._state.rotation[2, 2])
+        last_edge, final_level = float(self.profile.edge_x[-1]), float(self.profile.level_z[-1])
+        if not np.isfinite(position).all():
+            return "fall"
+        ground = float(self.profile.height_at(position[0]))
+        low, high = sorted((ground, float(self.profile.height_at(self._feet[:, 0]).mean())))
+        if up < FALL_COSINE or position[2] - low < FALL_HEIGHT_SHARE * self.robot.stand_height:
+            return "fall"
+        if abs(position[1]) > self.stairs.flight_width / 2 and 0.0 < position[0] < last_edge:
+            return "left_flight"
+        if position[0] < self._start_x - WALKED_AWAY_M:
+            return "walked_away"
+        rear = self._feet[2:]
+        landed = (rear[:, 0] > last_edge).all() and (np.abs(rear[:, 2] - final_level) < 0.15).all()
+        return "success" if landed and up > 0.8 else ""
+
+    # ------------------------------------------------------------------ looks
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """Third-person picture: uint8 (H, W, 3), or float32 (H, W) metres for "depth_array"."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs render_mode="rgb_array", "depth_array" or "human"')
+            return None
+        if self._sim is None:
+            raise gym.error.ResetNeeded("call reset() before render()")
+        if self.render_mode == "human":
+            self._sim.follow_with_camera(self._state.position)
+            return None
+        if self._onlooker is None:
+            self._onlooker = Onlooker()
+        colour, depth = self._onlooker.look(self._sim.client, self._state.position)
+        return colour if self.render_mode == "rgb_array" else depth
+
+    def close(self) -> None:
+        """Release the physics; safe to call twice."""
+        if self._sim is not None:
+            self._sim.close()
+            self._sim = None
+
+
+def _read_weights(changes: dict[str, float] | None) -> RewardWeights:
+    names = tuple(field.name for field in dataclasses.fields(RewardWeights))
+    for name, value in (changes or {}).items():
+        check_choice("reward_weights field", name, names)
+        if not np.isfinite(value):
+            raise SpecError(f"reward_weights[{name!r}]={value!r} must be finite")
+    return RewardWeights(**(changes or {}))
