@@ -1,0 +1,280 @@
+"""Treads and risers from depth: planes between the detected lines, fitted together.
+
+Depth is worst where stair lines are: holes and flying pixels sit on the edges. It is good between them. The lines cut
+the picture into strips, and each strip shows one face: a tread (its height is constant) or a riser (its forward
+distance is). All faces of a staircase share one orientation, so that three small angles, corrections to the
+gravity-levelled frame and to the yaw that the lines give, are solved once for all points by robust least squares,
+with the accelerometer's answer as a prior. What remains per face is one number and its standard deviation.
+
+Everything is a batch of (strips, points) arrays; coordinates are (f, l, h): forward along the walking direction of the
+stairs, left, and up from the camera, metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from stair_env.camera.intrinsics import Intrinsics
+
+UNKNOWN, TREAD, RISER = 0, 1, 2
+
+COLUMN_BANDS = 36  # samples across a strip: the paper's nine sampling points, four columns each
+ROW_SAMPLES = 14  # samples between two lines
+EDGE_MARGIN_PX = 3.0  # flying pixels (about 2) and jitter of the line (about 1)
+EDGE_MARGIN_FRACTION = 0.25  # of a strip too thin for the whole margin
+OUTER_STRIP = 0.22  # height of the strips beyond the first and last line, fraction of the image height
+MIN_OVERLAP_PX = 16.0
+MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 6.0
+
+DEPTH_SIGMA_PER_M2 = 0.0036  # RMS depth error of the D435i at 1 m, grows with Z^2: 0.08 px / (447 px * 0.05 m)
+DEPTH_FLOOR_M = 0.004  # unevenness of real treads and quantised disparity
+POINTS_PER_INDEPENDENT = 6.0  # stereo matching correlates neighbouring pixels
+ROBUST_CUT = 3.0  # residuals beyond this many standard deviations carry no weight
+MIN_POINTS = 24
+MIN_INLIER_FRACTION = 0.6
+MAX_FACE_SCATTER = 2.5  # median residual of a face, standard deviations
+MIN_CONTRAST = 1.6  # how much worse the other kind of face must explain the same points
+ITERATIONS = 4
+
+
+@dataclass(frozen=True)
+class Strips:
+    """Points between neighbouring lines, K strips of N points, nearest strip first.
+
+    Attributes:
+        rays: (K, N, 3) directions in the camera frame, z = 1.
+        depth_m: (K, N) distance along the optical axis; 0 where there is no reading.
+        ok: (K, N) whether the point counts.
+    """
+
+    rays: np.ndarray
+    depth_m: np.ndarray
+    ok: np.ndarray
+
+
+@dataclass(frozen=True)
+class Faces:
+    """What the strips show.
+
+    Attributes:
+        kind: (K,) UNKNOWN, TREAD or RISER.
+        value: (K,) height of a tread or forward distance of a riser, relative to the camera, metres.
+        std: (K,) standard deviation of `value`, metres.
+        camera_to_stair: (3, 3) rotation into (f, l, h), refined.
+        angle_cov: (3, 3) covariance of the remaining rotation about f, l, h, rad^2.
+    """
+
+    kind: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    camera_to_stair: np.ndarray
+    angle_cov: np.ndarray
+
+
+def depth_std(depth_m: np.ndarray | float) -> np.ndarray:
+    """Standard deviation of a D435i depth reading, metres; any shape."""
+    return DEPTH_SIGMA_PER_M2 * np.square(depth_m)
+
+
+def sample_strips(lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics) -> Strips:
+    """Read the depth between neighbouring lines, and beyond the first and the last.
+
+    Args:
+        lines: (m, 8) rows of `perception.lines.LINE_FIELDS` in pixels of the depth image, nearest (lowest) first.
+        depth_m: (H, W) float, metres, 0 = no reading.
+        intrinsics: of the depth image.
+
+    Returns:
+        Strips with K = m + 1.
+    """
+    height = depth_m.shape[0]
+    below, above = np.arange(-1, len(lines)), np.arange(0, len(lines) + 1)
+    low_line, high_line = lines[np.maximum(below, 0)], lines[np.minimum(above, len(lines) - 1)]
+    x = _columns(low_line, high_line)  # (K, C)
+    y_low = low_line[:, 4:5] * x + low_line[:, 5:6]
+    y_high = high_line[:, 4:5] * x + high_line[:, 5:6]
+    y_low[0] = np.minimum(y_high[0] + OUTER_STRIP * height, height)
+    y_high[-1] = np.maximum(y_low[-1] - OUTER_STRIP * height, 0.0)
+    gap = y_low - y_high
+    margin = np.minimum(EDGE_MARGIN_PX, EDGE_MARGIN_FRACTION * gap)
+    t = (np.arange(ROW_SAMPLES) + 0.5) / ROW_SAMPLES
+    y = (y_high + margin)[:, :, None] + (gap - 2.0 * margin)[:, :, None] * t
+    return _read(x, y, gap > 1.0, depth_m, intrinsics)
+
+
+def _columns(low_line: np.ndarray, high_line: np.ndarray) -> np.ndarray:
+    """(K, C) image columns spread evenly over what both lines of a strip span."""
+    start = np.maximum(low_line[:, 0], high_line[:, 0])
+    end = np.minimum(low_line[:, 2], high_line[:, 2])
+    # Lines side by side: follow the longer one and extrapolate the other.
+    apart = end - start < MIN_OVERLAP_PX
+    longer = np.where(
+        (low_line[:, 2] - low_line[:, 0] >= high_line[:, 2] - high_line[:, 0])[:, None], low_line, high_line
+    )
+    start, end = np.where(apart, longer[:, 0], start), np.where(apart, longer[:, 2], end)
+    t = (np.arange(COLUMN_BANDS) + 0.5) / COLUMN_BANDS
+    return start[:, None] + (end - start)[:, None] * t
+
+
+def _read(x: np.ndarray, y: np.ndarray, open_column: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics) -> Strips:
+    """Depth and rays at columns (K, C) and rows (K, C, S)."""
+    rows, columns = depth_m.shape
+    u = np.broadcast_to(x[:, :, None], y.shape).astype(np.int32)
+    v = np.floor(y).astype(np.int32)
+    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows) & open_column[:, :, None]
+    u, v = np.clip(u, 0, columns - 1), np.clip(v, 0, rows - 1)
+    depth = depth_m[v, u].astype(np.float64)
+    ok = inside & (depth > MIN_DEPTH_M) & (depth < MAX_DEPTH_M)  # NaN compares false
+    depth = np.where(ok, depth, 0.0)
+    rays = np.empty((*y.shape, 3))
+    rays[..., 0] = (u + 0.5 - intrinsics.cx) / intrinsics.fx
+    rays[..., 1] = (v + 0.5 - intrinsics.cy) / intrinsics.fy
+    rays[..., 2] = 1.0
+    count = len(x)
+    return Strips(rays.reshape(count, -1, 3), depth.reshape(count, -1), ok.reshape(count, -1))
+
+
+def masked_median(values: np.ndarray, ok: np.ndarray) -> np.ndarray:
+    """(K,) medians along the last axis of (K, N) where ok; 0 where nothing is."""
+    count = ok.sum(axis=1)
+    ordered = np.sort(np.where(ok, values, np.inf), axis=1)
+    middle = ordered[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    return np.where(count > 0, middle, 0.0)
+
+
+def fit_faces(
+    strips: Strips,
+    camera_to_stair: np.ndarray,
+    line_normals: np.ndarray,
+    line_slope_std: np.ndarray,
+    gravity_std_rad: float,
+) -> Faces:
+    """Which face each strip shows and where it lies, with one orientation for all.
+
+    Args:
+        strips: sampled points.
+        camera_to_stair: (3, 3) first guess of the rotation into (f, l, h), from gravity and the lines' yaw.
+        line_normals: (m, 3) unit normals, camera frame, of the planes through the camera and each detected line.
+        line_slope_std: (m,) standard deviation of each line's direction in the image, radians.
+        gravity_std_rad: how far to trust the gravity vector.
+
+    Returns:
+        Faces.
+    """
+    rotation = np.array(camera_to_stair, dtype=np.float64)
+    turned = np.zeros(3)
+    cov = np.diag([gravity_std_rad**2, gravity_std_rad**2, 0.1**2])
+    kind, weight = np.zeros(len(strips.ok), dtype=int), np.zeros(strips.ok.shape)
+    for _ in range(ITERATIONS):
+        points = (strips.rays @ rotation.T) * strips.depth_m[:, :, None]  # (K, N, 3) f, l, h
+        kind, value, weight = _classify(points, strips, rotation)
+        if not kind.any():
+            break
+        step, cov = _solve_rotation(
+            points, kind, value, weight, line_normals @ rotation.T, line_slope_std, turned, gravity_std_rad
+        )
+        rotation = _small_rotation(step) @ rotation
+        turned = turned + step
+    points = (strips.rays @ rotation.T) * strips.depth_m[:, :, None]
+    coordinate = np.where((kind == RISER)[:, None], points[:, :, 0], points[:, :, 2])
+    total = np.maximum(weight.sum(axis=1), 1e-9)
+    value = (weight * coordinate).sum(axis=1) / total
+    std = np.sqrt(POINTS_PER_INDEPENDENT / total)
+    return Faces(kind, np.where(kind > 0, value, 0.0), std, rotation, cov)
+
+
+def _classify(points: np.ndarray, strips: Strips, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kind (K,), value (K,) and the weight of every point (K, N) for that kind."""
+    ok = strips.ok
+    sigma_depth = depth_std(strips.depth_m)
+    scaled = strips.rays @ rotation.T
+    count = ok.sum(axis=1)
+    scatter, values, weights, share = [], [], [], []
+    for axis in (2, 0):  # a tread has one height, a riser one forward distance
+        sigma = np.hypot(sigma_depth * np.abs(scaled[:, :, axis]), DEPTH_FLOOR_M)
+        coordinate = points[:, :, axis]
+        centre = masked_median(coordinate, ok)
+        for _ in range(2):
+            chi = np.abs(coordinate - centre[:, None]) / sigma
+            weight = np.where(ok & (chi < ROBUST_CUT), (1.0 - np.square(chi / ROBUST_CUT)) ** 2 / sigma**2, 0.0)
+            total = weight.sum(axis=1)
+            centre = np.where(total > 0, (weight * coordinate).sum(axis=1) / np.maximum(total, 1e-9), centre)
+        chi = np.abs(coordinate - centre[:, None]) / sigma
+        scatter.append(masked_median(chi, ok) + 0.2)  # + 0.2: exact depth must not divide by zero
+        share.append((ok & (chi < ROBUST_CUT)).sum(axis=1) / np.maximum(count, 1))
+        values.append(centre)
+        weights.append(weight)
+    tread_is_better = scatter[0] <= scatter[1]
+    best = np.where(tread_is_better, scatter[0], scatter[1])
+    other = np.where(tread_is_better, scatter[1], scatter[0])
+    inliers = np.where(tread_is_better, share[0], share[1])
+    good = (count >= MIN_POINTS) & (best < MAX_FACE_SCATTER) & (other > MIN_CONTRAST * best)
+    good &= inliers >= MIN_INLIER_FRACTION
+    kind = np.where(good, np.where(tread_is_better, TREAD, RISER), UNKNOWN)
+    value = np.where(tread_is_better, values[0], values[1])
+    weight = np.where(tread_is_better[:, None], weights[0], weights[1]) * good[:, None]
+    return kind, value, weight
+
+
+def _solve_rotation(
+    points: np.ndarray,
+    kind: np.ndarray,
+    value: np.ndarray,
+    weight: np.ndarray,
+    line_normals: np.ndarray,
+    line_slope_std: np.ndarray,
+    turned: np.ndarray,
+    gravity_std_rad: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """One Gauss-Newton step (3,) of the rotation about (f, l, h) and its covariance (3, 3).
+
+    A small rotation w moves p to p + w x p: h gains w_f l - w_l f, and f gains w_l h - w_h l. The value of each face
+    is eliminated by centring its points.
+    """
+    used = kind > 0
+    weight = weight[used] / POINTS_PER_INDEPENDENT
+    f, left, h = np.moveaxis(points[used], 2, 0)
+    is_tread = (kind[used] == TREAD)[:, None]
+    zero = np.zeros_like(f)
+    jacobian = np.stack(
+        [np.where(is_tread, left, zero), np.where(is_tread, -f, h), np.where(is_tread, zero, -left)], axis=2
+    )
+    residual = np.where(is_tread, h, f) - value[used][:, None]
+    total = np.maximum(weight.sum(axis=1), 1e-9)[:, None]
+    jacobian = jacobian - ((weight[:, :, None] * jacobian).sum(axis=1) / total)[:, None, :]
+    residual = residual - (weight * residual).sum(axis=1, keepdims=True) / total
+    flat, w = jacobian.reshape(-1, 3), weight.reshape(-1)
+    normal = (flat * w[:, None]).T @ flat
+    gradient = flat.T @ (w * residual.reshape(-1))
+
+    # The horizontal line in the plane with normal n runs along (n_l, -n_f, 0): its yaw error is n_l / n_f.
+    n_f, n_l, n_h = line_normals.T
+    seen = np.abs(n_f) > 0.05  # a line at the horizon says nothing about yaw
+    n_f, n_l, n_h, slope_std = n_f[seen], n_l[seen], n_h[seen], line_slope_std[seen]
+    rows = np.stack([-n_h / n_f, np.zeros_like(n_f), np.ones_like(n_f)], axis=1)
+    yaw_error = n_l / n_f
+    sigma = np.hypot(slope_std / np.abs(n_f), 0.003)
+    offset = np.abs(yaw_error - np.median(yaw_error)) if len(yaw_error) else yaw_error
+    line_weight = np.where(offset < 4.0 * sigma + 0.02, 1.0 / sigma**2, 0.0)
+    normal += (rows * line_weight[:, None]).T @ rows
+    gradient += rows.T @ (line_weight * yaw_error)
+
+    prior = np.array([1.0, 1.0, 0.0]) / gravity_std_rad**2
+    normal += np.diag(prior + np.array([0.0, 0.0, 1.0 / math.radians(30.0) ** 2]))
+    gradient += prior * turned
+    cov = np.linalg.inv(normal)
+    step = -cov @ gradient
+    return np.clip(step, -0.1, 0.1), cov
+
+
+def _small_rotation(angles: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation matrix of a rotation vector (3,), radians (Rodrigues)."""
+    angle = float(np.linalg.norm(angles))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = angles / angle
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * skew + (1.0 - math.cos(angle)) * (skew @ skew)

@@ -1,0 +1,313 @@
+"""From the network's two tensors to straight lines in the image.
+
+The network answers per cell of a 32 x 16 grid over the 512 x 512 letterboxed image; a stair line crosses many cells.
+Clustering follows the paper ("Stair line clustering"): lines are started by least squares in the middle two columns,
+the remaining columns are taken from the middle to both sides, each segment joins the line it lies on or starts a new
+one, slope and intercept are recalculated, and the whole assignment is repeated until it no longer changes.
+
+Arrays hold lines as rows of `LINE_FIELDS`; `StairLine` is the same as an object for whoever reads one line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stair_env.camera.intrinsics import letterbox_padding
+
+GRID_ROWS, GRID_COLUMNS = 32, 16  # the paper's output tensors
+NETWORK_SIZE_PX = 512
+CELL_HEIGHT_PX = NETWORK_SIZE_PX // GRID_ROWS
+CELL_WIDTH_PX = NETWORK_SIZE_PX // GRID_COLUMNS
+SCORE_THRESHOLD = 0.5  # the paper's confidence
+
+SAME_LINE_PX = 3.0  # two predictions of a cell closer than this are one line; about three times the detector's jitter
+JOIN_TOLERANCE_PX = 3.0  # vertical distance within which a segment lies on a line
+JOIN_GROWTH = 0.03  # extra tolerance per pixel between the segment and the known part of the line
+JOIN_LIMIT_PX = 6.0
+MAX_SLOPE = 3.0  # steeper than any stair line that a camera within 60 degrees of roll can see
+MAX_ITERATIONS = 5
+SHORT_SEGMENT_PX = 8.0  # a segment this short says half of what its neighbours say about its slope
+
+LINE_FIELDS = ("x1", "y1", "x2", "y2", "k", "b", "score", "support")
+
+
+@dataclass(frozen=True)
+class StairLine:
+    """One stair line, the paper's six-tuple with what it rests on.
+
+    Attributes:
+        x1, y1, x2, y2: left and right end point, pixels.
+        k, b: slope and intercept of y = k x + b, pixels.
+        score: mean class score of its cells, 0..1.
+        support: number of cell predictions that lie on it.
+        kind: "convex", "concave" or "unknown"; the network does not tell them apart, geometry does.
+    """
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    k: float
+    b: float
+    score: float
+    support: int
+    kind: str = "unknown"
+
+
+@dataclass(frozen=True)
+class Segments:
+    """What the grid says before clustering, n predictions.
+
+    Attributes:
+        ends: (n, 4) float64 x1, y1, x2, y2 in pixels of the 512 x 512 image, left end first.
+        column: (n,) grid column.
+        score: (n,) class score of the cell.
+    """
+
+    ends: np.ndarray
+    column: np.ndarray
+    score: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+def decode_cells(cls: np.ndarray, loc: np.ndarray, threshold: float = SCORE_THRESHOLD) -> Segments:
+    """Line segments of the cells that hold a stair line.
+
+    Args:
+        cls: (32, 16) class scores, 0..1.
+        loc: (32, 16, 8) coordinates within the cell, 0..1, two lines a cell.
+        threshold: lowest score of a cell that counts.
+
+    Returns:
+        Segments; a second prediction that nearly equals the first of its cell is left out, and so is a prediction
+        that is not finite.
+
+    Raises:
+        ValueError: an array has another shape.
+    """
+    cls, loc = np.asarray(cls, dtype=np.float64), np.asarray(loc, dtype=np.float64)
+    if cls.shape != (GRID_ROWS, GRID_COLUMNS):
+        raise ValueError(f"cls has shape {cls.shape}, must be {(GRID_ROWS, GRID_COLUMNS)}")
+    if loc.shape != (GRID_ROWS, GRID_COLUMNS, 8):
+        raise ValueError(f"loc has shape {loc.shape}, must be {(GRID_ROWS, GRID_COLUMNS, 8)}")
+    row, column = np.nonzero(cls >= threshold)
+    ends = np.clip(loc[row, column].reshape(-1, 2, 2, 2), 0.0, 1.0)  # (cells, lines, ends, xy)
+    ends = (ends + np.stack([column, row], axis=-1)[:, None, None, :]) * (CELL_WIDTH_PX, CELL_HEIGHT_PX)
+    swapped = ends[..., 0, 0] > ends[..., 1, 0]
+    ends[swapped] = ends[swapped][:, ::-1]
+    ends = ends.reshape(-1, 2, 4)
+
+    # NaN compares false, so a second prediction without numbers is no new line either.
+    new_second = np.abs(_height_above(ends[:, 0], ends[:, 1])) > SAME_LINE_PX
+    chosen = np.stack([np.ones_like(new_second), new_second], axis=1) & np.isfinite(ends).all(axis=2)
+    cell, _ = np.nonzero(chosen)
+    return Segments(ends[chosen], column[cell], cls[row, column][cell])
+
+
+def _height_above(ends: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(n,) vertical distance of the middle of `other` from the line through `ends`, both (n, 4), pixels."""
+    dx, dy = ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]
+    slope = np.clip(dx * dy / (dx * dx + 1.0), -MAX_SLOPE, MAX_SLOPE)
+    middle, other_middle = _middles(ends), _middles(other)
+    return other_middle[:, 1] - middle[:, 1] - slope * (other_middle[:, 0] - middle[:, 0])
+
+
+def _middles(ends: np.ndarray) -> np.ndarray:
+    return (ends[:, :2] + ends[:, 2:]) / 2.0
+
+
+class _Clusters:
+    """Segments, the line each belongs to (-1: none yet), and the least-squares fit of every line."""
+
+    def __init__(self, segments: Segments) -> None:
+        ends = segments.ends
+        self.x, self.y = ends[:, 0::2], ends[:, 1::2]  # (n, 2) each
+        self.middle_x, self.middle_y = self.x.mean(axis=1), self.y.mean(axis=1)
+        self.weight = segments.score
+        dx, dy = self.x[:, 1] - self.x[:, 0], self.y[:, 1] - self.y[:, 0]
+        long = dx > SHORT_SEGMENT_PX
+        common = float(np.clip(np.median(dy[long] / dx[long]), -MAX_SLOPE, MAX_SLOPE)) if long.any() else 0.0
+        self.common_slope = common
+        prior = SHORT_SEGMENT_PX**2
+        self.slope = np.clip((dx * dy + prior * common) / (dx * dx + prior), -MAX_SLOPE, MAX_SLOPE)
+        self.label = np.full(len(segments), -1)
+        self.k = self.b = self.low = self.high = np.empty(0)
+
+    def start_lines(self, chosen: np.ndarray, at_x: np.ndarray | float) -> None:
+        """Group segments without a line by where they cross x = at_x, and make each group a line.
+
+        Args:
+            chosen: (c,) indices of segments, none of which has a line.
+            at_x: where to compare them; a scalar, or (c,) with equal values for segments that may share a line.
+        """
+        if len(chosen) == 0:
+            return
+        at = np.broadcast_to(np.asarray(at_x, dtype=np.float64), chosen.shape)
+        height = self.middle_y[chosen] + self.slope[chosen] * (at - self.middle_x[chosen])
+        order = np.lexsort((height, at))
+        apart = (np.diff(height[order]) > JOIN_TOLERANCE_PX) | (np.diff(at[order]) != 0.0)
+        self.label[chosen[order]] = len(self.k) + np.concatenate([[0], np.cumsum(apart)])
+        self.refit()
+
+    def refit(self) -> None:
+        """Least squares per line over the end points of its segments; lines without segments vanish."""
+        used = self.label >= 0
+        names, label = np.unique(self.label[used], return_inverse=True)
+        self.label[used] = label
+        count = len(names)
+        x, y = self.x[used].ravel(), self.y[used].ravel()
+        weight, label = np.repeat(self.weight[used], 2), np.repeat(label, 2)
+        total = np.bincount(label, weight, count)
+        mean_x = np.bincount(label, weight * x, count) / total
+        mean_y = np.bincount(label, weight * y, count) / total
+        dx, dy = x - mean_x[label], y - mean_y[label]
+        # The prior only matters to a line of one short segment, whose own slope is noise.
+        prior = SHORT_SEGMENT_PX**2 / 2.0
+        spread = np.bincount(label, weight * dx * dx, count) + prior
+        slope = (np.bincount(label, weight * dx * dy, count) + prior * self.common_slope) / spread
+        self.k = np.clip(slope, -MAX_SLOPE, MAX_SLOPE)
+        self.b = mean_y - self.k * mean_x
+        self.low, self.high = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(self.low, label, x)
+        np.maximum.at(self.high, label, x)
+
+    def nearest(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The line nearest to each chosen segment, and whether the segment lies on it; both (c,)."""
+        if len(self.k) == 0 or len(chosen) == 0:
+            return np.full(len(chosen), -1), np.zeros(len(chosen), dtype=bool)
+        x, y = self.middle_x[chosen, None], self.middle_y[chosen, None]
+        gap = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
+        tolerance = np.minimum(JOIN_TOLERANCE_PX + JOIN_GROWTH * gap, JOIN_LIMIT_PX)
+        excess = np.abs(self.k * x + self.b - y) / tolerance  # (c, lines)
+        best = np.argmin(excess, axis=1)
+        return best, excess[np.arange(len(chosen)), best] <= 1.0
+
+
+def cluster_segments(segments: Segments) -> np.ndarray:
+    """Group segments into lines from the middle two columns outwards, iterated.
+
+    Args:
+        segments: as `decode_cells` returns them.
+
+    Returns:
+        (m, 8) float64 rows of `LINE_FIELDS`, pixels of the 512 x 512 image, from the top of the image to its bottom.
+    """
+    if len(segments) == 0:
+        return np.empty((0, len(LINE_FIELDS)))
+    clusters = _Clusters(segments)
+    right = GRID_COLUMNS // 2
+    clusters.start_lines(np.nonzero(np.isin(segments.column, (right - 1, right)))[0], right * CELL_WIDTH_PX)
+    for step in range(1, right):
+        _take_columns(clusters, segments.column, (right - 1 - step, right + step))
+    everything = np.arange(len(segments))
+    for _ in range(MAX_ITERATIONS):
+        before = clusters.label.copy()
+        best, fits = clusters.nearest(everything)
+        clusters.label = np.where(fits, best, before)
+        clusters.refit()
+        if np.array_equal(before, clusters.label):
+            break
+    return _merge_twins(_as_rows(clusters, segments))
+
+
+def _take_columns(clusters: _Clusters, column: np.ndarray, pair: tuple[int, int]) -> None:
+    """Join the segments of two columns to the lines they lie on; those on none start their own."""
+    chosen = np.nonzero((column == pair[0]) | (column == pair[1]))[0]
+    if len(chosen) == 0:
+        return
+    best, fits = clusters.nearest(chosen)
+    clusters.label[chosen[fits]] = best[fits]
+    rest = chosen[~fits]
+    if len(rest):
+        clusters.start_lines(rest, (column[rest] + 0.5) * CELL_WIDTH_PX)
+    else:
+        clusters.refit()
+
+
+def _as_rows(clusters: _Clusters, segments: Segments) -> np.ndarray:
+    k, b, x1, x2 = clusters.k, clusters.b, clusters.low, clusters.high
+    support = np.bincount(clusters.label, minlength=len(k)).astype(np.float64)
+    score = np.bincount(clusters.label, segments.score, len(k)) / support
+    rows = np.stack([x1, k * x1 + b, x2, k * x2 + b, k, b, score, support], axis=1)
+    return rows[np.argsort(rows[:, 1] + rows[:, 3])]
+
+
+def _merge_twins(rows: np.ndarray) -> np.ndarray:
+    """Join neighbours that run within the same-line distance of each other wherever both, or either, are seen."""
+    kept: list[np.ndarray] = []
+    for row in rows:
+        twin = next((index for index, other in enumerate(kept) if _are_twins(row, other)), None)
+        if twin is None:
+            kept.append(row)
+        else:
+            kept[twin] = _join(kept[twin], row)
+    return np.array(kept)
+
+
+def _are_twins(a: np.ndarray, b: np.ndarray) -> bool:
+    low, high = max(a[0], b[0]), min(a[2], b[2])
+    if low > high:  # side by side: compare across the gap
+        low, high = high, low
+    return all(abs((a[4] - b[4]) * x + a[5] - b[5]) <= SAME_LINE_PX for x in (low, high))
+
+
+def _join(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """One line from two, each standing for points spread evenly between its ends."""
+    points_x = np.concatenate([np.linspace(line[0], line[2], 8) for line in (a, b)])
+    points_y = np.concatenate([line[4] * np.linspace(line[0], line[2], 8) + line[5] for line in (a, b)])
+    weight = np.repeat([a[7], b[7]], 8)
+    mean_x, mean_y = np.average(points_x, weights=weight), np.average(points_y, weights=weight)
+    dx, dy = points_x - mean_x, points_y - mean_y
+    k = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9)) if np.ptp(points_x) > 1.0 else a[4]
+    k = float(np.clip(k, -MAX_SLOPE, MAX_SLOPE))
+    offset = float(mean_y - k * mean_x)
+    x1, x2, support = min(a[0], b[0]), max(a[2], b[2]), a[7] + b[7]
+    score = (a[6] * a[7] + b[6] * b[7]) / support
+    return np.array([x1, k * x1 + offset, x2, k * x2 + offset, k, offset, score, support])
+
+
+def find_lines(cls: np.ndarray, loc: np.ndarray, threshold: float = SCORE_THRESHOLD) -> np.ndarray:
+    """Decode and cluster: (m, 8) rows of `LINE_FIELDS` in pixels of the 512 x 512 image, top to bottom.
+
+    Args:
+        cls: (32, 16) class scores, 0..1.
+        loc: (32, 16, 8) coordinates within the cell, 0..1.
+        threshold: lowest score of a cell that counts.
+
+    Raises:
+        ValueError: an array has another shape.
+    """
+    return cluster_segments(decode_cells(cls, loc, threshold))
+
+
+def to_image_pixels(lines: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Undo the letterbox: lines in pixels of the width x height image that was padded and scaled to 512 x 512.
+
+    Args:
+        lines: (m, 8) rows of `LINE_FIELDS` in pixels of the 512 x 512 image.
+        width, height: size of the original image, pixels.
+
+    Returns:
+        (m, 8) float64; lines in the padding, outside the image, are left out.
+    """
+    left, top, side = letterbox_padding(width, height)
+    scale = side / NETWORK_SIZE_PX
+    moved = np.array(lines, dtype=np.float64)
+    moved[:, [0, 2]] = lines[:, [0, 2]] * scale - left
+    moved[:, 5] = lines[:, 5] * scale - top + lines[:, 4] * left
+    moved[:, [0, 2]] = np.clip(moved[:, [0, 2]], 0.0, width)
+    moved[:, 1] = moved[:, 4] * moved[:, 0] + moved[:, 5]
+    moved[:, 3] = moved[:, 4] * moved[:, 2] + moved[:, 5]
+    middle_y = (moved[:, 1] + moved[:, 3]) / 2.0
+    inside = (moved[:, 2] > moved[:, 0]) & (middle_y >= 0.0) & (middle_y <= height)
+    return moved[inside]
+
+
+def as_stair_lines(lines: np.ndarray, kinds: tuple[str, ...] | None = None) -> tuple[StairLine, ...]:
+    """Rows of `LINE_FIELDS` as objects; kinds, if given, one per row."""
+    names = kinds if kinds is not None else ("unknown",) * len(lines)
+    return tuple(StairLine(*map(float, row[:7]), support=int(row[7]), kind=name) for row, name in zip(lines, names))
