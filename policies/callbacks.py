@@ -26,6 +26,7 @@ CURVE_FIELDS = (
     "value_loss",
     "std",
 )
+LEVEL_KEY = "curriculum_level"
 CURVE_EVERY = 4096  # environment steps: one row for each PPO rollout of 8 x 512
 
 
@@ -59,7 +60,7 @@ class CurveCallback(BaseCallback):
     """Appends a row to a CSV file every CURVE_EVERY environment steps; a resumed run cuts what it will do again.
 
     Return, length and success are means over the last 100 episodes. `level_mean` is the mean curriculum level of the
-    environments, from `info["level"]`, empty where there is none.
+    environments, from `info["curriculum_level"]`, empty where there is none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,8 +94,8 @@ class CurveCallback(BaseCallback):
     def _on_step(self) -> bool:
         self._episodes += int(np.sum(self.locals["dones"]))
         for index, info in enumerate(self.locals["infos"]):
-            if "level" in info:
-                self._levels[index] = float(info["level"])
+            if LEVEL_KEY in info:
+                self._levels[index] = float(info[LEVEL_KEY])
         return True
 
     def _on_rollout_start(self) -> None:
@@ -140,7 +141,7 @@ class ProgressCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         self._bar.update(self.model.num_timesteps - self._bar.n)
-        self._levels.update((i, info["level"]) for i, info in enumerate(self.locals["infos"]) if "level" in info)
+        self._levels.update((i, info[LEVEL_KEY]) for i, info in enumerate(self.locals["infos"]) if LEVEL_KEY in info)
         return True
 
     def _on_rollout_end(self) -> None:

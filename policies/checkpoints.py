@@ -102,9 +102,10 @@ def _random_state() -> dict[str, Any]:
 
 def curriculum_states(venv: VecEnv | None) -> list[Any] | None:
     """The curriculum of each environment, JSON-able; None where the environments have none."""
-    if venv is None or not venv.has_attr(CURRICULUM_GETTER):
+    if venv is None:
         return None
-    return list(venv.env_method(CURRICULUM_GETTER))
+    states = list(venv.env_method(CURRICULUM_GETTER))
+    return states if any(state is not None for state in states) else None
 
 
 def restore_curriculum(venv: VecEnv, states: list[Any] | None) -> None:

@@ -23,6 +23,21 @@ NORMALISED_KEYS = ("proprio",)
 _PRELOADED = ["stable_baselines3.common.vec_env.subproc_vec_env", "policies.make_env"]
 
 
+class CurriculumAccess(gym.Wrapper):
+    """Lets a vector of environments read and set each one's curriculum, for checkpoints."""
+
+    def get_curriculum_state(self) -> dict[str, Any] | None:
+        """JSON-able state; None where there is no curriculum."""
+        curriculum = getattr(self.unwrapped, "curriculum", None)
+        return None if curriculum is None else curriculum.state()
+
+    def set_curriculum_state(self, state: Mapping[str, Any] | None) -> None:
+        """Continue from `get_curriculum_state()`."""
+        curriculum = getattr(self.unwrapped, "curriculum", None)
+        if curriculum is not None and state is not None:
+            curriculum.restore(state)
+
+
 def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monitor: bool = True) -> gym.Env:
     """Build one environment.
 
@@ -35,7 +50,7 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
         ValueError: a keyword argument has a wrong value.
         gymnasium.error.Error: unknown id.
     """
-    env = gym.make(env_id, **dict(env_kwargs or {}))
+    env: gym.Env = CurriculumAccess(gym.make(env_id, **dict(env_kwargs or {})))
     if not monitor:
         return env
     from stable_baselines3.common.monitor import Monitor

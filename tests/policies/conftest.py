@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from stair_env.episode import Curriculum, CurriculumConfig
 from stair_env.observation import stair_space
 
 TOY_ID = "ToyClimb-v0"
@@ -23,7 +24,7 @@ class ToyClimb(gym.Env):
         proprio = gym.spaces.Box(-5.0, 5.0, (size,), np.float32)
         self.observation_space = gym.spaces.Dict({"proprio": proprio, "stair": stair_space()})
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.level = 0.0
+        self.curriculum = Curriculum(CurriculumConfig(), 0.17)
 
     def _observation(self) -> dict[str, np.ndarray]:
         self._target = self.np_random.uniform(-1, 1)
@@ -33,20 +34,16 @@ class ToyClimb(gym.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self._steps = 0
-        return self._observation(), {"level": self.level}
+        return self._observation(), {"curriculum_level": self.curriculum.level}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         reward = -float(abs(action[0] - self._target))
         self._steps += 1
         done = self._steps == 10
-        self.level += done
-        return self._observation(), reward, done, False, {"level": self.level, "is_success": reward > -0.5}
-
-    def get_curriculum_state(self) -> dict[str, float]:
-        return {"level": self.level}
-
-    def set_curriculum_state(self, state: dict[str, float]) -> None:
-        self.level = state["level"]
+        if done:
+            self.curriculum.level += 1
+        info = {"curriculum_level": self.curriculum.level, "is_success": reward > -0.5}
+        return self._observation(), reward, done, False, info
 
 
 @pytest.fixture()

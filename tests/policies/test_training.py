@@ -42,7 +42,7 @@ def test_a_run_leaves_policy_card_and_curve(algorithm: str, toy_id: str, tmp_pat
     assert card["timesteps"] == 256 and json.loads((final / "card.json").read_text())["timesteps"] == 256
     rows = read_curve(tmp_path / "run" / "curve.csv")
     assert rows[-1]["timesteps"] == 256 and rows[-1]["episodes"] > 20
-    assert card["curriculum"] == [{"level": 12.0}, {"level": 12.0}]
+    assert card["curriculum"] == [{"level": 12, "results": []}] * 2
 
 
 def test_ppo_learns_the_toy(toy_id: str, tmp_path: Path) -> None:
@@ -74,13 +74,13 @@ def test_killed_run_resumes_from_its_last_checkpoint(
         training.train(config, tmp_path / "run")
     left = checkpoints.list_checkpoints(tmp_path / "run" / "checkpoints")
     assert [checkpoints.read_state(path)["num_timesteps"] for path in left] == [128]
-    assert checkpoints.read_state(left[0])["curriculum"] == [{"level": 6.0}, {"level": 6.0}]
+    assert checkpoints.read_state(left[0])["curriculum"] == [{"level": 6, "results": []}] * 2
 
     monkeypatch.setattr(checkpoints, "save_policy", save)
     card = training.train(config, tmp_path / "run", resume=True)
     assert card["timesteps"] == 512
     # 64 steps before the checkpoint make 6 whole episodes; the 192 after it 19: nothing was counted twice or lost.
-    assert card["curriculum"] == [{"level": 25.0}, {"level": 25.0}]
+    assert card["curriculum"] == [{"level": 25, "results": []}] * 2
     steps = [row["timesteps"] for row in read_curve(tmp_path / "run" / "curve.csv")]
     assert steps == sorted(set(steps)) and steps[-1] == 512
 
