@@ -1,0 +1,310 @@
+"""Compiled loops of the depth error model.
+
+Everything here works on disparities d = f B / z in pixels of the depth imager, because that is what a stereo camera
+measures: its noise is uniform there, a plane is an affine function of the image coordinates there, and a missing
+reading is simply d = 0. Each function is one pass over the image; none draws random numbers, none keeps state, and
+every pixel depends on its inputs alone, so that results do not depend on how the work is split.
+
+Importing this module loads numba: do so when a frame is processed, not at the top of a module.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+CELL_PX = 8  # side of the squares over which texture and brightness are averaged
+_HIDDEN = np.float32(0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def to_disparity(depth_m: np.ndarray, focal_baseline: np.float32, disparity: np.ndarray) -> None:
+    """Fill disparity (H, W) with f B / z; 0 where depth is not a positive finite number.
+
+    Args:
+        depth_m: (H, W) float32, metres.
+        focal_baseline: focal length times baseline of the depth imagers, pixels times metres.
+        disparity: (H, W) float32, written.
+    """
+    height, width = depth_m.shape
+    zero, one, huge = np.float32(0.0), np.float32(1.0), np.float32(1e6)
+    for v in range(height):
+        for u in range(width):
+            z = depth_m[v, u]
+            usable = (z > zero) & (z < huge)  # false for NaN and for infinity
+            disparity[v, u] = focal_baseline / (z if usable else one) if usable else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hide_shadows(
+    disparity: np.ndarray, shift: np.float32, shift_2: np.float32, wall: np.float32, measured: np.ndarray
+) -> None:
+    """Copy disparity to measured and set to 0 what a camera further to the right cannot see.
+
+    A camera displaced to the right by b sees pixel u at u - shift d, shift = (f_image / f_depth) (b / B). A near
+    surface whose left edge lies at u therefore hides a strip of shift (d_near - d_far) pixels of whatever is behind
+    it, to the left of that edge, and nothing on any other side.
+
+    Args:
+        disparity: (H, W) float32 of the scene.
+        shift, shift_2: image pixels of displacement per pixel of disparity, for two cameras; 0 leaves one out.
+        wall: smallest displacement between neighbours that hides a whole pixel, image pixels.
+        measured: (H, W) float32, written.
+    """
+    height, width = disparity.shape
+    strongest = max(shift, shift_2)
+    for v in range(height):
+        row, out = disparity[v], measured[v]
+        for u in range(width):
+            out[u] = row[u]
+        if strongest <= 0.0:
+            continue
+        for u in range(width - 1):
+            if strongest * (row[u + 1] - row[u]) >= wall:
+                _shade_strip(row, out, u, shift, wall)
+                _shade_strip(row, out, u, shift_2, wall)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _shade_strip(row: np.ndarray, out: np.ndarray, last: int, shift: np.float32, wall: np.float32) -> None:
+    """Hide the strip that ends at pixel `last`, left of a near surface that starts at `last + 1`."""
+    near = row[last + 1]
+    for u in range(last, -1, -1):
+        width = shift * (near - row[u])
+        distance = last + 1 - u
+        if width < wall or distance > shift * near + 0.5:
+            return
+        if distance > width + 0.5:
+            continue
+        # A thing narrower than its own displacement lets the camera look past its other side.
+        blocker = min(u + int(width + 0.5), len(row) - 1)
+        if row[blocker] > row[u] + 0.5 * (near - row[u]):
+            out[u] = _HIDDEN
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def blur_edges(
+    disparity: np.ndarray,
+    reach: int,
+    jump: np.float32,
+    jitter_px: np.float32,
+    flying_share: np.float32,
+    normal: np.ndarray,
+    uniform: np.ndarray,
+    offsets: np.ndarray,
+    mark: np.ndarray,
+    measured: np.ndarray,
+) -> None:
+    """Near depth edges, wander sideways and mix near with far; shadows stay empty.
+
+    A matching window that straddles an edge returns either side or something in between. An edge is where the second
+    difference of disparity over `reach` pixels exceeds `jump`: zero on any plane, whatever its slant.
+
+    Args:
+        disparity: (H, W) float32 of the scene.
+        reach: half the matching window, image pixels.
+        jump: smallest second difference that counts as an edge, depth-imager pixels.
+        jitter_px: standard deviation of the edge's position, image pixels.
+        flying_share: share of edge pixels that become a mixture.
+        normal, uniform: (N, N + W) noise tables.
+        offsets: (k,) int64 places in the tables where this frame begins.
+        mark: (W,) uint8, scratch.
+        measured: (H, W) float32, changed in place.
+    """
+    height, width = disparity.shape
+    side = normal.shape[0]
+    for v in range(height):
+        row = disparity[v]
+        above, below = disparity[max(v - reach, 0)], disparity[min(v + reach, height - 1)]
+        _mark_edges(row, above, below, reach, jump, mark)
+        if not mark.any():
+            continue
+        shift_u = normal[(v + offsets[0]) % side, offsets[1] :]
+        shift_v = normal[(v + offsets[2]) % side, offsets[3] :]
+        chance = uniform[(v + offsets[4]) % side, offsets[5] :]
+        mixture = uniform[(v + offsets[6]) % side, offsets[7] :]
+        for u in range(width):
+            if mark[u] == 0 or measured[v, u] == _HIDDEN:
+                continue
+            if chance[u] < flying_share:
+                near, far = _extremes(disparity, v, u, reach)
+                measured[v, u] = far + mixture[u] * (near - far)
+            elif jitter_px > 0.0:
+                source_u = min(max(u + int(np.rint(jitter_px * shift_u[u])), 0), width - 1)
+                source_v = min(max(v + int(np.rint(jitter_px * shift_v[u])), 0), height - 1)
+                measured[v, u] = disparity[source_v, source_u]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _mark_edges(
+    row: np.ndarray, above: np.ndarray, below: np.ndarray, reach: int, jump: np.float32, mark: np.ndarray
+) -> None:
+    """Set mark (W,) to 1 where the second difference along or across the row exceeds jump."""
+    width = len(row)
+    two = np.float32(2.0)
+    for u in range(width):
+        mark[u] = abs(above[u] + below[u] - two * row[u]) > jump
+    for u in range(reach, width - reach):
+        mark[u] |= abs(row[u - reach] + row[u + reach] - two * row[u]) > jump
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _extremes(disparity: np.ndarray, v: int, u: int, reach: int) -> tuple[np.float32, np.float32]:
+    """Largest and smallest disparity among a pixel and its four neighbours at distance reach."""
+    height, width = disparity.shape
+    left, right = disparity[v, max(u - reach, 0)], disparity[v, min(u + reach, width - 1)]
+    up, down = disparity[max(v - reach, 0), u], disparity[min(v + reach, height - 1), u]
+    here = disparity[v, u]
+    return max(here, left, right, up, down), min(here, left, right, up, down)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cell_statistics(
+    rgb: np.ndarray, disparity: np.ndarray, level: np.ndarray, texture: np.ndarray, glare: np.ndarray, mean: np.ndarray
+) -> None:
+    """Average what decides about drop-outs over squares of CELL_PX pixels.
+
+    Only horizontal contrast counts as texture: stereo matches along image rows, where a horizontal line tells nothing.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        disparity: (H, W) float32.
+        level: (h, w) float32, written: mean of the green channel, 0-255.
+        texture: (h, w) float32, written: mean absolute difference of pixels two apart, 0-255.
+        glare: (h, w) float32, written: share of saturated pixels.
+        mean: (h, w) float32, written: mean disparity of the pixels that have one, 0 if none has.
+    """
+    height, width = disparity.shape
+    rows, columns = level.shape
+    for i in range(rows):
+        for j in range(columns):
+            total, contrast, saturated, seen, count, near = 0, 0, 0, 0, 0, np.float32(0.0)
+            for v in range(i * CELL_PX, min((i + 1) * CELL_PX, height), 2):
+                for u in range(j * CELL_PX, min((j + 1) * CELL_PX, width), 2):
+                    green = int(rgb[v, u, 1])
+                    total += green
+                    contrast += abs(green - int(rgb[v, min(u + 2, width - 1), 1]))
+                    saturated += int(green >= 250)
+                    count += 1
+                    near += disparity[v, u]
+                    seen += int(disparity[v, u] > 0.0)
+            level[i, j] = total / count
+            texture[i, j] = contrast / count
+            glare[i, j] = saturated / count
+            mean[i, j] = near / max(seen, 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish(
+    measured: np.ndarray,
+    depth_m: np.ndarray,
+    focal_baseline: np.float32,
+    noise_px: np.float32,
+    quantum_px: np.float32,
+    scale: np.float32,
+    unit_m: np.float32,
+    nearest_m: np.float32,
+    farthest_m: np.float32,
+    drop: np.ndarray,
+    normal: np.ndarray,
+    uniform: np.ndarray,
+    offsets: np.ndarray,
+    chance: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Noise, quantisation, scale, range and holes: from disparity to the depth that is handed out.
+
+    Args:
+        measured: (H, W) float32, disparity after shadows and edges.
+        depth_m: (H, W) float32, exact depth; kept as it is where nothing changed the disparity.
+        focal_baseline: pixels times metres.
+        noise_px: standard deviation of the disparity, depth-imager pixels.
+        quantum_px: step of the disparity, depth-imager pixels; 0 for none.
+        scale: factor on depth.
+        unit_m: step of the depth, metres; 0 for none.
+        nearest_m, farthest_m: readings outside are dropped.
+        drop: (h + 1, w + 1) float32 probability of a hole at the corners of the cells; one column for no holes.
+        normal, uniform: (N, N + W) noise tables.
+        offsets: (k,) int64 places in the tables where this frame begins.
+        chance: (at least W + CELL_PX) float32, scratch.
+        out: (H, W) float32, written.
+    """
+    side = normal.shape[0]
+    exact = (noise_px == 0.0) & (quantum_px == 0.0)
+    for v in range(len(measured)):
+        hole = uniform[(v + offsets[10]) % side, offsets[11] :]
+        _interpolate_row(drop, v, chance)
+        if exact:
+            _exact_row(measured[v], depth_m[v], focal_baseline, out[v])
+        else:
+            noise = normal[(v + offsets[8]) % side, offsets[9] :]
+            _noisy_row(measured[v], noise, focal_baseline, noise_px, quantum_px, out[v])
+        _limit_row(scale, unit_m, nearest_m, farthest_m, hole, chance, out[v])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _exact_row(measured: np.ndarray, depth_m: np.ndarray, focal_baseline: np.float32, out: np.ndarray) -> None:
+    """Depth of noiseless disparities (W,); untouched ones keep their exact depth."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for u in range(len(out)):
+        d = measured[u]
+        z = focal_baseline / (d if d > zero else one)
+        z = depth_m[u] if d == focal_baseline / depth_m[u] else z
+        out[u] = z if d > zero else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _noisy_row(
+    measured: np.ndarray,
+    noise: np.ndarray,
+    focal_baseline: np.float32,
+    noise_px: np.float32,
+    quantum_px: np.float32,
+    out: np.ndarray,
+) -> None:
+    """Depth of disparities (W,) after noise and rounding."""
+    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    per_quantum = one / quantum_px if quantum_px > zero else zero
+    for u in range(len(out)):
+        d = measured[u] + noise_px * noise[u]
+        rounded = np.floor(d * per_quantum + half) * quantum_px
+        d = rounded if quantum_px > zero else d
+        seen = (measured[u] > zero) & (d > zero)
+        z = focal_baseline / (d if seen else one)
+        out[u] = z if seen else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _limit_row(
+    scale: np.float32,
+    unit_m: np.float32,
+    nearest_m: np.float32,
+    farthest_m: np.float32,
+    hole: np.ndarray,
+    chance: np.ndarray,
+    depth_m: np.ndarray,
+) -> None:
+    """Scale and round depths (W,) in place; drop what is out of range or falls into a hole."""
+    zero, half = np.float32(0.0), np.float32(0.5)
+    per_unit = np.float32(1.0) / unit_m if unit_m > zero else zero
+    for u in range(len(depth_m)):
+        z = depth_m[u] * scale
+        rounded = np.floor(z * per_unit + half) * unit_m
+        z = rounded if unit_m > zero else z
+        keep = (z >= nearest_m) & (z <= farthest_m) & (hole[u] >= chance[u])
+        depth_m[u] = z if keep else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _interpolate_row(corners: np.ndarray, v: int, values: np.ndarray) -> None:
+    """Bilinear interpolation of cell corners along image row v into values (W + CELL_PX,)."""
+    upper = v // CELL_PX
+    weight = np.float32((v % CELL_PX + 0.5) / CELL_PX)
+    step = np.float32(1.0 / CELL_PX)
+    half = np.float32(0.5)
+    for j in range(corners.shape[1] - 1):
+        left = corners[upper, j] + weight * (corners[upper + 1, j] - corners[upper, j])
+        right = corners[upper, j + 1] + weight * (corners[upper + 1, j + 1] - corners[upper, j + 1])
+        slope = (right - left) * step
+        for i in range(CELL_PX):
+            values[j * CELL_PX + i] = left + slope * (np.float32(i) + half)
