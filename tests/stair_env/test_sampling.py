@@ -1,0 +1,201 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stair_env.appearance import AppearanceSpec, NosingStrip
+from stair_env.distractors import FLAT_KINDS, DistractorSpec
+from stair_env.sampling import Scene, SceneSampler, SceneSpec, sample_camera_pose
+from stair_env.stairs import SpecError, StairSpec
+from stair_env.surroundings import SurroundingsSpec, enclosure
+from stair_env.viewpoints import CLEARANCE_M, count_edges_in_view, look_along, min_clearance
+
+seeds = st.integers(0, 2**32 - 1)
+MIXED = SceneSampler(negatives=0.25)
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds)
+def test_scene_survives_json_and_rebuilds_the_same_solids(seed):
+    spec = MIXED.sample(np.random.default_rng(seed))
+    again = SceneSpec.from_json(spec.to_json())
+    assert again == spec
+    assert Scene(again).shapes == Scene(spec).shapes
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_same_seed_same_scene(seed):
+    assert MIXED.sample(np.random.default_rng(seed)) == MIXED.sample(np.random.default_rng(seed))
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds)
+def test_shapes_are_finite_solid_and_have_a_look(seed):
+    scene = Scene(MIXED.sample(np.random.default_rng(seed)))
+    for shape in scene.shapes:
+        assert np.isfinite([*shape.position, *shape.size, *shape.orientation]).all()
+        assert min(shape.size[: 3 if shape.kind == "box" else 2]) > 0.0
+        scene.spec.appearance.look(shape.surface)
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds)
+def test_values_lie_in_the_asked_ranges(seed):
+    sampler = SceneSampler((0.1, 0.12), 0.3, (3, 5), direction="both", lighting="night")
+    spec = sampler.sample(np.random.default_rng(seed))
+    assert 0.1 <= spec.stairs.riser_height <= 0.12
+    assert spec.stairs.tread_depth == 0.3
+    assert 3 <= spec.stairs.num_steps <= 5
+    assert spec.stairs.direction in ("up", "down")
+    assert spec.appearance.lighting == "night"
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds)
+def test_solid_distractors_leave_the_way_free(seed):
+    spec = SceneSampler().sample(np.random.default_rng(seed))
+    half, last = spec.stairs.flight_width / 2, float(spec.stairs.profile().edge_x[-1])
+    for distractor in spec.distractors:
+        for shape in distractor.shapes:
+            reach = max(shape.size[:2]) if shape.kind == "box" else shape.size[0]
+            x, y, _ = shape.position
+            if distractor.kind not in FLAT_KINDS and -1.0 < x < last:
+                assert abs(y) + reach > half  # its outer side at least; the nearer one is checked below
+                assert abs(y) > half
+            if distractor.kind in FLAT_KINDS:
+                assert x < 0.0 or x > last
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_no_lens_inside_a_solid(seed):
+    rng = np.random.default_rng(seed)
+    spec = MIXED.sample(rng)
+    pose = sample_camera_pose(spec, rng)
+    assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3))
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
+    assert min_clearance(Scene(spec).shapes, pose[:3, 3]) >= CLEARANCE_M
+
+
+def test_most_viewpoints_see_stairs_and_look_forward_and_down():
+    rng = np.random.default_rng(1)
+    sampler, seen, forward, pitch = SceneSampler(), [], [], []
+    for _ in range(150):
+        spec = sampler.sample(rng)
+        pose = sample_camera_pose(spec, rng)
+        seen.append(count_edges_in_view(spec.stairs, pose))
+        forward.append(pose[0, 2])
+        pitch.append(math.degrees(-math.asin(pose[2, 2])))
+    assert np.mean(np.array(seen) >= 2) > 0.9
+    assert min(forward) > 0.4
+    assert min(pitch) > -15.0 and max(pitch) < 60.0
+    assert 10.0 < np.mean(pitch) < 35.0
+
+
+def test_same_seed_same_viewpoint():
+    spec = SceneSampler().sample(np.random.default_rng(4))
+    poses = [sample_camera_pose(spec, np.random.default_rng(9)) for _ in range(2)]
+    assert np.array_equal(*poses)
+
+
+def test_every_variation_turns_up():
+    rng = np.random.default_rng(0)
+    specs = [MIXED.sample(rng) for _ in range(400)]
+    stairs = [spec.stairs for spec in specs if spec.stairs is not None]
+    looks = [spec.appearance for spec in specs]
+    assert 0.15 < sum(spec.is_negative for spec in specs) / 400 < 0.35
+    assert {s.direction for s in stairs} == {"up", "down", "up_down"}
+    for share in (
+        np.mean([bool(s.riser_offsets) for s in stairs]),
+        np.mean([s.nosing_overhang > 0 for s in stairs]),
+        np.mean([s.open_risers for s in stairs]),
+        np.mean([s.handrails for s in stairs]),
+        np.mean([s.stringers for s in stairs]),
+        np.mean([s.side_walls != "none" for s in stairs]),
+        np.mean([look.nosing_strip is not None for look in looks]),
+        np.mean([look.lighting == "night" for look in looks]),
+        np.mean([look.shadows for look in looks]),
+        np.mean([look.tread == look.riser for look in looks]),
+        np.mean([look.lamp_position is not None for look in looks]),
+    ):
+        assert 0.03 < share < 0.97
+    assert {look.tread.material for look in looks} >= {"concrete", "terrazzo", "wood", "tile", "metal", "carpet"}
+
+
+@pytest.mark.parametrize("strip", [NosingStrip(), NosingStrip(setback_m=0.02)])
+@pytest.mark.parametrize("direction", ["up", "down", "up_down"])
+def test_nosing_strips_lie_on_their_treads_and_do_not_collide(direction, strip):
+    stairs = StairSpec(direction=direction)
+    scene = Scene(SceneSpec(stairs, AppearanceSpec(nosing_strip=strip)))
+    strips = [shape for shape in scene.shapes if shape.surface == "nosing"]
+    assert len(strips) == sum(edge.kind == "convex" for edge in scene.edges)
+    for shape in strips:
+        top = shape.position[2] + shape.size[2]
+        assert top == pytest.approx(float(stairs.profile().height_at(shape.position[0])), abs=0.002)
+        assert not shape.collides
+
+
+def test_a_landing_does_not_end_in_a_drop():
+    stairs = StairSpec(direction="up")
+    for kind in ("plain", "indoor", "outdoor"):
+        scene = Scene(SceneSpec(stairs, surroundings=SurroundingsSpec(kind)))
+        end = float(stairs.profile().edge_x[-1]) + stairs.landing_depth
+        under = np.array([end + 0.01, 0.0, stairs.total_height - 0.05])
+        assert min_clearance(scene.shapes, under) < 0.0
+
+
+def test_rooms_enclose_the_flight():
+    stairs = StairSpec()
+    room = enclosure(SurroundingsSpec("indoor"), stairs)
+    assert room.y_left >= stairs.flight_width / 2 and room.y_right <= -stairs.flight_width / 2
+    assert room.x_high >= stairs.profile().edge_x[-1] + stairs.landing_depth
+    assert room.z_top > stairs.total_height
+
+
+def test_a_scene_without_stairs_has_a_floor_and_no_edges():
+    scene = Scene(SceneSpec(None))
+    assert scene.edges == ()
+    assert [shape.surface for shape in scene.shapes] == ["floor"]
+
+
+def test_scene_begins_with_the_stairs_and_ends_with_the_distractors():
+    spec = SceneSpec(StairSpec(), distractors=(DistractorSpec("bench", (0.0, 3.0, 0.0)),))
+    surfaces = [shape.surface for shape in Scene(spec).shapes]
+    assert surfaces[0] == "floor"
+    assert surfaces[-1].startswith("distractor:bench")
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.4])
+def test_look_along_points_where_it_says(pitch):
+    pose = look_along(np.array([1.0, 2.0, 3.0]), 0.0, pitch)
+    assert pose[:3, 2] == pytest.approx([math.cos(pitch), 0.0, -math.sin(pitch)])
+    assert pose[:3, 0] == pytest.approx([0.0, -1.0, 0.0])
+    assert pose[:3, 3] == pytest.approx([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("riser_height", (0.2, 0.1)),
+        ("riser_height", -1.0),
+        ("riser_height", (0.1, 0.2, 0.3)),
+        ("tread_depth", math.nan),
+        ("num_steps", 0),
+        ("num_steps", 2.5),
+        ("direction", "sideways"),
+        ("lighting", "dusk"),
+        ("negatives", 1.5),
+    ],
+)
+def test_bad_arguments_are_named(field, value):
+    with pytest.raises(SpecError, match=field):
+        SceneSampler(**{field: value})
+
+
+@pytest.mark.parametrize("text", ["", "3", '{"stairs": {"steps": 1}}', '{"appearance": 1}', '{"stars": {}}'])
+def test_bad_json_is_refused(text):
+    with pytest.raises(SpecError):
+        SceneSpec.from_json(text)
