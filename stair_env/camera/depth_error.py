@@ -275,7 +275,7 @@ def hole_probability(
     reflectance = np.ones_like(level)
     if frame_level > DARK_FRAME_LEVEL:
         reflectance = np.minimum(level / (DARK_SURFACE_SHARE * frame_level), 1.0)
-    pattern = np.minimum((config.projector_range_m * inverse_depth) ** 2, 1.0) * reflectance
+    pattern = np.minimum(config.projector_range_m * inverse_depth, 1.0) ** 2 * reflectance
     own = np.minimum(texture / FULL_TEXTURE_LEVEL, 1.0)
     unmatched = (1.0 - own) * (1.0 - pattern)
     probability = (

@@ -178,12 +178,13 @@ def cell_statistics(
     rows, columns = level.shape
     for i in range(rows):
         for j in range(columns):
-            total, contrast, saturated, seen, count, near = 0, 0, 0, 0, 0, np.float32(0.0)
+            total, contrast, near = np.int64(0), np.int64(0), np.float32(0.0)
+            saturated, seen, count = 0, 0, 0
             for v in range(i * CELL_PX, min((i + 1) * CELL_PX, height), 2):
                 for u in range(j * CELL_PX, min((j + 1) * CELL_PX, width), 2):
-                    green = int(rgb[v, u, 1])
+                    green = np.int64(rgb[v, u, 1])  # plain int() of a uint8 stays unsigned under numba
                     total += green
-                    contrast += abs(green - int(rgb[v, min(u + 2, width - 1), 1]))
+                    contrast += abs(green - np.int64(rgb[v, min(u + 2, width - 1), 1]))
                     saturated += int(green >= 250)
                     count += 1
                     near += disparity[v, u]
