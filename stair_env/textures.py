@@ -53,12 +53,14 @@ class Finish(NamedTuple):
     depth_dropout: float
 
 
-@functools.lru_cache(maxsize=8)
-def _frequencies(stretch: float) -> np.ndarray:
-    """(256, 129) radial frequency in cycles per tile; features are `stretch` times longer along the columns."""
+@functools.lru_cache(maxsize=64)
+def _band(low: float, high: float, slope: float, stretch: float) -> np.ndarray:
+    """(256, 129) float32 gain of each spatial frequency; see `noise`."""
     rows = np.fft.fftfreq(TEXTURE_SIZE_PX, 1 / TEXTURE_SIZE_PX)
     columns = np.fft.rfftfreq(TEXTURE_SIZE_PX, 1 / TEXTURE_SIZE_PX)
-    return np.maximum(np.hypot(rows[:, None], columns[None, :] * stretch), 1e-9).astype(np.float32)
+    frequency = np.maximum(np.hypot(rows[:, None], columns[None, :] * stretch), 1e-9)
+    gain: np.ndarray = np.where((frequency >= low) & (frequency <= high), frequency**-slope, 0.0).astype(np.float32)
+    return gain
 
 
 def noise(rng: np.random.Generator, low: float, high: float, slope: float = 1.0, stretch: float = 1.0) -> np.ndarray:
@@ -73,10 +75,9 @@ def noise(rng: np.random.Generator, low: float, high: float, slope: float = 1.0,
     Returns:
         (256, 256) float32.
     """
-    frequency = _frequencies(stretch)
-    gain = np.where((frequency >= low) & (frequency <= high), frequency**-slope, 0.0).astype(np.float32)
-    white = scipy.fft.rfft2(rng.standard_normal((TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), dtype=np.float32))
-    field: np.ndarray = scipy.fft.irfft2(white * gain, s=(TEXTURE_SIZE_PX, TEXTURE_SIZE_PX))
+    # Uniform values do: every filtered value is a sum over many, hence close to Gaussian.
+    white = scipy.fft.rfft2(rng.random((TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), dtype=np.float32) - np.float32(0.5))
+    field: np.ndarray = scipy.fft.irfft2(white * _band(low, high, slope, stretch), s=(TEXTURE_SIZE_PX, TEXTURE_SIZE_PX))
     return field / max(float(field.std()), 1e-9)
 
 
@@ -109,6 +110,7 @@ def _paint_chips(
         cv2.fillPoly(image, [polygon], fill, lineType=cv2.LINE_AA, shift=4)
 
 
+@functools.lru_cache(maxsize=1)
 def _grid() -> tuple[np.ndarray, np.ndarray]:
     """Row and column coordinates of the pixel centres, each (256, 256) float32 in 0 to 1."""
     axis = (np.arange(TEXTURE_SIZE_PX, dtype=np.float32) + 0.5) / TEXTURE_SIZE_PX
@@ -279,7 +281,7 @@ def _brick(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     courses, bricks = 8, 3  # of 240 x 71 mm with 10 mm joints: 0.75 m wide, 0.6 m high, close to square
     rows, columns = _grid()
     course = (rows * courses).astype(np.int32)
-    along = columns * bricks + 0.5 * (course % 2)
+    along = columns * bricks + (0.5 * (course % 2)).astype(np.float32)
     brick = along.astype(np.int32) % bricks
     base = _pick(
         rng, ((0.58, 0.30, 0.22), (0.50, 0.25, 0.19), (0.66, 0.45, 0.32), (0.45, 0.40, 0.37), (0.72, 0.60, 0.45))
