@@ -3,15 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from stair_env.appearance import AppearanceSpec
 from stair_env.camera.intrinsics import Intrinsics
-from stair_env.camera.renderers import visibility
+from stair_env.camera.renderers import shading, visibility
 from stair_env.camera.renderers.base import FAR_M, NEAR_M, Frame, SceneLike, check_pose
+from stair_env.camera.renderers.looks import LookTable, across, light_settings, mip_offsets
 from stair_env.camera.renderers.solids import Solids
 from stair_env.camera.renderers.threads import run_rows
 from stair_env.scene import Shape
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Solids with what shading needs of them; see `shading.shade_rows`."""
+
+    kinds: np.ndarray
+    sizes: np.ndarray
+    bounds: np.ndarray
+    rotations: np.ndarray
+    centres: np.ndarray
+    shifts: np.ndarray
+    looks: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    side: np.ndarray
+
+    def joined(self, other: _Drawn) -> _Drawn:
+        """These solids, then the other ones."""
+        names = [field.name for field in fields(self)]
+        return _Drawn(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
 
 class RaycastRenderer:
@@ -19,36 +43,89 @@ class RaycastRenderer:
 
     Args:
         scene: what stands still.
+        appearance: materials and light; None for the scene's own (`scene.spec.appearance`), or the default ones.
+        shadows: whether the light casts shadows, if the appearance has it so.
+        textures: whether surfaces show their texture or its mean colour.
         threads: number of threads to draw with; None for numba's setting (NUMBA_NUM_THREADS, else all cores).
 
     Raises:
         ValueError: threads is not positive.
+        SpecError: a shape's kind or surface is unknown.
     """
 
-    def __init__(self, scene: SceneLike, *, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: SceneLike,
+        *,
+        appearance: AppearanceSpec | None = None,
+        shadows: bool = True,
+        textures: bool = True,
+        threads: int | None = None,
+    ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads={threads!r} must be at least 1, or None")
         self._threads = threads
-        self._static = Solids.from_shapes(scene.shapes)
+        if appearance is None:
+            appearance = getattr(getattr(scene, "spec", None), "appearance", None) or AppearanceSpec()
+        self._light = light_settings(appearance, shadows)
+        self._side = across(np.array(appearance.light_direction))
+        self._table = LookTable(appearance, textures)
+        self._static = self._prepare(scene.shapes, fixed=True)
+
+    def _prepare(self, shapes: Sequence[Shape], fixed: bool) -> _Drawn:
+        solids = Solids.from_shapes(shapes)
+        rotations, centres = solids.rotations, solids.centres
+        reach = np.einsum("nij,nj->ni", np.abs(rotations), solids.bounds)
+        middle_side = centres @ self._side.T
+        reach_side = np.einsum("nsa,na->ns", np.abs(self._side @ rotations), solids.bounds)
+        side = np.stack([middle_side - reach_side, middle_side + reach_side], axis=-1).reshape(-1, 4)
+        # Textures of fixed solids are laid out in the world, so that they go on from one piece of a wall to the next.
+        shifts = np.einsum("nji,nj->ni", rotations, centres) if fixed else np.zeros_like(centres)
+        return _Drawn(
+            solids.kinds,
+            solids.sizes,
+            solids.bounds,
+            rotations,
+            centres,
+            shifts.astype(np.float32),
+            self._table.numbers(shapes),
+            (centres - reach).astype(np.float32),
+            (centres + reach).astype(np.float32),
+            side.astype(np.float32),
+        )
 
     def render(self, intrinsics: Intrinsics, camera_to_world: np.ndarray, *, moving: Sequence[Shape] = ()) -> Frame:
-        """Draw a frame; see `Renderer.render`."""
+        """Draw a frame; see `Renderer.render`.
+
+        Raises:
+            ValueError: the pose is not a rigid transform.
+            SpecError: a moving shape's kind or surface is unknown.
+        """
         pose = check_pose(camera_to_world)
-        solids = self._static.joined(Solids.from_shapes(moving)) if moving else self._static
+        solids = self._static.joined(self._prepare(moving, fixed=False)) if moving else self._static
         m, o = visibility.to_camera(solids.rotations, solids.centres, pose)
-        depth = np.empty((intrinsics.height, intrinsics.width), np.float32)
-        ids = np.empty((intrinsics.height, intrinsics.width), np.int32)
+        shape = (intrinsics.height, intrinsics.width)
+        depth, ids, rgb = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty((*shape, 3), np.uint8)
         rx = ((np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx).astype(np.float32)
         ry = ((np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy).astype(np.float32)
+        rotations = solids.rotations.reshape(-1, 9).astype(np.float32)
+        centres = solids.centres.astype(np.float32)
+        looks, offsets = self._table.arrays(), mip_offsets()
+        row_major_pose = np.ascontiguousarray(pose[:3], dtype=np.float32).ravel()
         near, far = np.float32(NEAR_M), np.float32(FAR_M)
+        pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
 
-        def trace(rows: np.ndarray) -> None:
+        def draw(rows: np.ndarray) -> None:
             visibility.trace_rows(
                 rows, rx, ry, solids.kinds, solids.sizes, solids.bounds, m, o, near, far, depth, ids
             )  # fmt: skip
+            shading.shade_rows(
+                rows, rx, ry, solids.kinds, solids.sizes, m, o, rotations, centres, solids.shifts, solids.looks,
+                solids.low, solids.high, solids.side, looks.texels, offsets, looks.base, looks.density, looks.gain,
+                looks.gloss, self._light, self._side, row_major_pose, pixel_slope, depth, ids, rgb,
+            )  # fmt: skip
 
-        run_rows(trace, -(-intrinsics.height // visibility.TILE), self._threads)
-        rgb = np.where(ids[..., None] < 0, 200, 60 + (ids[..., None] * np.array([37, 61, 23])) % 160).astype(np.uint8)
+        run_rows(draw, -(-intrinsics.height // visibility.TILE), self._threads)
         return Frame(rgb, depth, ids)
 
     def close(self) -> None:

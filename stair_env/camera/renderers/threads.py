@@ -18,7 +18,7 @@ _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 def default_threads() -> int:
     """Numba's setting: NUMBA_NUM_THREADS, else the number of cores."""
-    return int(numba.config.NUMBA_NUM_THREADS)
+    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 def _pool(workers: int) -> ThreadPoolExecutor:

@@ -211,7 +211,7 @@ def _hit(kind, depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-
         hit_capsule(depth, ids, rx, ry, m, o, size, near, index)
 
 
-@kernel
+@njit(cache=True, nogil=True, fastmath=True)
 def _maximum(values):  # type: ignore[no-untyped-def]
     found = values[0]
     for k in range(values.shape[0]):

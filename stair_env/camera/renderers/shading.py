@@ -1,0 +1,445 @@
+"""Compiled shading: what colour each pixel has, from the depth and the solid it sees.
+
+Works tile by tile in stages, each a loop over the tile's pixels without branches, so that LLVM vectorises it. The
+pixels' values lie in one flat buffer of floats and one of integers, a block of AREA entries for each quantity: with
+offsets known at compile time LLVM sees that the blocks do not overlap.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+TILE = 16  # pixels, as in `visibility`, so that a row of tiles needs no other row's depth
+AREA = TILE * TILE
+BOX, SPHERE, CYLINDER, CAPSULE = 0, 1, 2, 3
+MIP_SIDE = 256  # texels along the side of a texture's finest level
+MIP_LEVELS = 9
+MIP_TEXELS = sum((MIP_SIDE >> level) ** 2 for level in range(MIP_LEVELS))
+
+# Blocks of the float buffer.
+RX, RY, T = 0 * AREA, 1 * AREA, 2 * AREA  # slopes of the ray, depth
+PX, PY, PZ = 3 * AREA, 4 * AREA, 5 * AREA  # point in the world
+NX, NY, NZ = 6 * AREA, 7 * AREA, 8 * AREA  # normal in the world
+U, V = 9 * AREA, 10 * AREA  # coordinates on the surface, metres
+LIT, OPEN = 11 * AREA, 12 * AREA  # share of direct and of ambient light that arrives
+DX, DY, DZ = 13 * AREA, 14 * AREA, 15 * AREA  # towards the light; as long as the way to a lamp
+RED, GREEN, BLUE = 16 * AREA, 17 * AREA, 18 * AREA  # albedo, then encoded colour
+NUM_FLOATS = 19 * AREA
+# Blocks of the integer buffer.
+ID, LOOK = 0 * AREA, 1 * AREA
+NUM_INTS = 2 * AREA
+
+# Entries of the vector of light settings; see `stair_env.camera.renderers.looks`.
+LIGHT, LAMP, COLOUR, AMBIENT, EXPOSURE, GLOSS, HORIZON, ZENITH, SHADOWS = 0, 3, 4, 7, 10, 11, 12, 15, 18
+NUM_SETTINGS = 19
+
+_ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
+_TINY = np.float32(1e-9)
+_HUGE = np.float32(1e30)
+_FACES_UP = np.float32(0.7)  # cosine of the steepest face that counts as a tread
+_LIFT_M = np.float32(1e-3)  # shadow rays start this far above the surface
+_OPEN_REACH_M = np.float32(0.12)  # how far from an inner edge ambient light is blocked
+_OPEN_LOSS = np.float32(0.5)  # of ambient light in the inner edge itself: half of the hemisphere is wall
+_AMBIENT_MEAN, _AMBIENT_UP = np.float32(0.78), np.float32(0.22)  # more light comes from above than from below
+# Least-squares fit of 255 sRGB(x) over 0.0031308..1 by x and its 2nd, 4th and 8th root; errs by 0.02 levels at most.
+_CURVE_1, _CURVE_2 = np.float32(-4.67033), np.float32(164.28962)
+_CURVE_4, _CURVE_8 = np.float32(181.07308), np.float32(-85.69578)
+_KNEE = np.float32(0.75)  # radiance above which the film's shoulder begins
+
+kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+
+
+@kernel
+def _points(f, pose):  # type: ignore[no-untyped-def]
+    """World points from rays and depth; pose is camera_to_world as (12,) float32, row by row."""
+    for k in range(AREA):
+        x, y, t = f[RX + k], f[RY + k], f[T + k]
+        f[PX + k] = (pose[0] * x + pose[1] * y + pose[2]) * t + pose[3]
+        f[PY + k] = (pose[4] * x + pose[5] * y + pose[6]) * t + pose[7]
+        f[PZ + k] = (pose[8] * x + pose[9] * y + pose[10]) * t + pose[11]
+
+
+@kernel
+def _box_surface(f, n, m, o, size, rotation, shift, up_look, side_look, index):  # type: ignore[no-untyped-def]
+    """Normals, surface coordinates and looks of the pixels that see box number index."""
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
+    r20, r21, r22 = rotation[6], rotation[7], rotation[8]
+    o0, o1, o2, h0, h1, h2 = o[0], o[1], o[2], size[0], size[1], size[2]
+    s0, s1, s2 = shift[0], shift[1], shift[2]
+    x_is_long = h0 > h1
+    for k in range(AREA):
+        x, y, t = f[RX + k], f[RY + k], f[T + k]
+        p0 = (m00 * x + m01 * y + m02) * t + o0
+        p1 = (m10 * x + m11 * y + m12) * t + o1
+        p2 = (m20 * x + m21 * y + m22) * t + o2
+        e0, e1, e2 = h0 - abs(p0), h1 - abs(p1), h2 - abs(p2)
+        on0 = (e0 <= e1) & (e0 <= e2)
+        on1 = (e1 <= e2) & (e1 < e0)
+        along = p0 if on0 else (p1 if on1 else p2)
+        sign = _ONE if along > _ZERO else -_ONE
+        nz = sign * (r20 if on0 else (r21 if on1 else r22))
+        q0, q1, q2 = p0 + s0, p1 + s1, p2 + s2
+        mine = n[ID + k] == index
+        f[NX + k] = sign * (r00 if on0 else (r01 if on1 else r02)) if mine else f[NX + k]
+        f[NY + k] = sign * (r10 if on0 else (r11 if on1 else r12)) if mine else f[NY + k]
+        f[NZ + k] = nz if mine else f[NZ + k]
+        u = q1 if on0 else (q0 if (on1 | x_is_long) else q1)
+        v = q2 if (on0 | on1) else (q1 if x_is_long else q0)
+        f[U + k] = u if mine else f[U + k]
+        f[V + k] = v if mine else f[V + k]
+        look = up_look if nz > _FACES_UP else side_look
+        n[LOOK + k] = look if mine else n[LOOK + k]
+
+
+@kernel
+def _round_surface(f, n, m, o, size, rotation, kind, look, index):  # type: ignore[no-untyped-def]
+    """The same for a sphere, cylinder or capsule."""
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
+    r20, r21, r22 = rotation[6], rotation[7], rotation[8]
+    o0, o1, o2, radius, half = o[0], o[1], o[2], size[0], size[1]
+    flat_ends = kind == CYLINDER
+    for k in range(AREA):
+        x, y, t = f[RX + k], f[RY + k], f[T + k]
+        p0 = (m00 * x + m01 * y + m02) * t + o0
+        p1 = (m10 * x + m11 * y + m12) * t + o1
+        p2 = (m20 * x + m21 * y + m22) * t + o2
+        end = flat_ends & (half - abs(p2) < radius - np.sqrt(p0 * p0 + p1 * p1))
+        axis_z = min(max(p2, -half), half)
+        n0, n1, n2 = _ZERO if end else p0, _ZERO if end else p1, p2 if end else p2 - axis_z
+        scale = _ONE / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + _TINY)
+        n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
+        mine = n[ID + k] == index
+        f[NX + k] = r00 * n0 + r01 * n1 + r02 * n2 if mine else f[NX + k]
+        f[NY + k] = r10 * n0 + r11 * n1 + r12 * n2 if mine else f[NY + k]
+        f[NZ + k] = r20 * n0 + r21 * n1 + r22 * n2 if mine else f[NZ + k]
+        f[U + k] = p2 if mine else f[U + k]
+        f[V + k] = np.float32(1.6) * radius * p1 / (abs(p0) + abs(p1) + _TINY) if mine else f[V + k]
+        n[LOOK + k] = look if mine else n[LOOK + k]
+
+
+@kernel
+def _towards_light(f, n, light):  # type: ignore[no-untyped-def]
+    """Direction of the light, and how much would arrive were nothing in its way."""
+    is_lamp = light[LAMP] > _ZERO
+    lx, ly, lz = light[LIGHT], light[LIGHT + 1], light[LIGHT + 2]
+    for k in range(AREA):
+        dx = lx - f[PX + k] if is_lamp else lx
+        dy = ly - f[PY + k] if is_lamp else ly
+        dz = lz - f[PZ + k] if is_lamp else lz
+        squared = dx * dx + dy * dy + dz * dz + _TINY
+        cosine = (f[NX + k] * dx + f[NY + k] * dy + f[NZ + k] * dz) / np.sqrt(squared)
+        arriving = cosine / squared if is_lamp else cosine
+        f[DX + k], f[DY + k], f[DZ + k] = dx, dy, dz
+        f[LIT + k] = arriving if (arriving > _ZERO) & (n[ID + k] >= 0) else _ZERO
+        f[OPEN + k] = _ONE
+
+
+@kernel
+def _shade_by_box(f, rotation, centre, size, longest):  # type: ignore[no-untyped-def]
+    """Take the direct light from points whose way to it, longest times D, meets a box."""
+    r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
+    r20, r21, r22 = rotation[6], rotation[7], rotation[8]
+    c0, c1, c2, h0, h1, h2 = centre[0], centre[1], centre[2], size[0], size[1], size[2]
+    for k in range(AREA):
+        x = f[PX + k] + _LIFT_M * f[NX + k] - c0
+        y = f[PY + k] + _LIFT_M * f[NY + k] - c1
+        z = f[PZ + k] + _LIFT_M * f[NZ + k] - c2
+        dx, dy, dz = f[DX + k], f[DY + k], f[DZ + k]
+        p0, p1, p2 = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
+        i0 = _ONE / (r00 * dx + r10 * dy + r20 * dz + _TINY)
+        i1 = _ONE / (r01 * dx + r11 * dy + r21 * dz + _TINY)
+        i2 = _ONE / (r02 * dx + r12 * dy + r22 * dz + _TINY)
+        # The slab of half width h is entered at -p i - h |i| and left at -p i + h |i|.
+        w0, w1, w2 = h0 * abs(i0), h1 * abs(i1), h2 * abs(i2)
+        enter = max(max(-p0 * i0 - w0, -p1 * i1 - w1), -p2 * i2 - w2)
+        leave = min(min(w0 - p0 * i0, w1 - p1 * i1), w2 - p2 * i2)
+        f[LIT + k] = _ZERO if (enter < leave) & (leave > _ZERO) & (enter < longest) else f[LIT + k]
+
+
+@kernel
+def _shade_by_round(f, rotation, centre, size, kind, longest):  # type: ignore[no-untyped-def]
+    """The same for a cylinder, a capsule (as a cylinder with its overall length) or a sphere."""
+    r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
+    r20, r21, r22 = rotation[6], rotation[7], rotation[8]
+    c0, c1, c2, r2 = centre[0], centre[1], centre[2], size[0] * size[0]
+    half = size[0] if kind == SPHERE else (size[1] + size[0] if kind == CAPSULE else size[1])
+    axial = _ONE if kind == SPHERE else _ZERO  # a sphere counts the distance along the axis too
+    for k in range(AREA):
+        x = f[PX + k] + _LIFT_M * f[NX + k] - c0
+        y = f[PY + k] + _LIFT_M * f[NY + k] - c1
+        z = f[PZ + k] + _LIFT_M * f[NZ + k] - c2
+        dx, dy, dz = f[DX + k], f[DY + k], f[DZ + k]
+        p0, p1, p2 = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
+        d0, d1 = r00 * dx + r10 * dy + r20 * dz, r01 * dx + r11 * dy + r21 * dz
+        d2 = r02 * dx + r12 * dy + r22 * dz + _TINY
+        flat = _ONE / (d0 * d0 + d1 * d1 + axial * d2 * d2 + _TINY)
+        middle = -(p0 * d0 + p1 * d1 + axial * p2 * d2) * flat
+        q0, q1, q2 = p0 + middle * d0, p1 + middle * d1, axial * (p2 + middle * d2)
+        inside = r2 - (q0 * q0 + q1 * q1 + q2 * q2)
+        reach = np.sqrt(max(inside, _ZERO) * flat)
+        i2 = _ONE / d2
+        enter = max(middle - reach, -p2 * i2 - half * abs(i2))
+        leave = min(middle + reach, -p2 * i2 + half * abs(i2))
+        hit = (inside > _ZERO) & (enter < leave) & (leave > _ZERO) & (enter < longest)
+        f[LIT + k] = _ZERO if hit else f[LIT + k]
+
+
+@kernel
+def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-def]
+    """Ambient light that a nearby solid takes away: how far it reaches into the ball that rests on the point."""
+    r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
+    r20, r21, r22 = rotation[6], rotation[7], rotation[8]
+    c0, c1, c2 = centre[0], centre[1], centre[2]
+    h0, h1, h2 = (size[0], size[1], size[2]) if is_box else (_ZERO, _ZERO, size[1])
+    radius = _ZERO if is_box else size[0]
+    for k in range(AREA):
+        x = f[PX + k] + _OPEN_REACH_M * f[NX + k] - c0
+        y = f[PY + k] + _OPEN_REACH_M * f[NY + k] - c1
+        z = f[PZ + k] + _OPEN_REACH_M * f[NZ + k] - c2
+        e0 = max(abs(r00 * x + r10 * y + r20 * z) - h0, _ZERO)
+        e1 = max(abs(r01 * x + r11 * y + r21 * z) - h1, _ZERO)
+        e2 = max(abs(r02 * x + r12 * y + r22 * z) - h2, _ZERO)
+        distance = max(np.sqrt(e0 * e0 + e1 * e1 + e2 * e2) - radius, _ZERO)
+        depth = max(_ONE - distance / _OPEN_REACH_M, _ZERO)
+        f[OPEN + k] *= _ONE - _OPEN_LOSS * depth * depth
+
+
+@kernel
+def _albedo(f, n, texels, offsets, look_base, look_density, look_gain, pixel_slope):  # type: ignore[no-untyped-def]
+    """Sample the textures: bilinear, in the mip level whose texels are about a pixel wide."""
+    for k in range(AREA):
+        look = n[LOOK + k]
+        density = look_density[look]
+        footprint = f[T + k] * pixel_slope * density
+        level = 0
+        for power in range(MIP_LEVELS - 1):
+            level += np.int32(footprint > np.float32(1.4) * np.float32(1 << power))
+        side = MIP_SIDE >> level
+        wrap = side - 1
+        scale = density * np.float32(side) * np.float32(1.0 / MIP_SIDE)
+        column, row = f[U + k] * scale - _HALF, f[V + k] * scale - _HALF
+        column_floor, row_floor = np.floor(column), np.floor(row)
+        across, down = column - column_floor, row - row_floor
+        left, top = np.int32(column_floor) & wrap, np.int32(row_floor) & wrap
+        right, bottom = (left + 1) & wrap, (top + 1) & wrap
+        base = look_base[look] + offsets[level]
+        a, b = texels[base + top * side + left], texels[base + top * side + right]
+        c, d = texels[base + bottom * side + left], texels[base + bottom * side + right]
+        wa, wb = (_ONE - across) * (_ONE - down), across * (_ONE - down)
+        wc, wd = (_ONE - across) * down, across * down
+        red = wa * np.float32(a & 255) + wb * np.float32(b & 255) + wc * np.float32(c & 255) + wd * np.float32(d & 255)
+        green = (
+            wa * np.float32((a >> 8) & 255)
+            + wb * np.float32((b >> 8) & 255)
+            + wc * np.float32((c >> 8) & 255)
+            + wd * np.float32((d >> 8) & 255)
+        )
+        blue = (
+            wa * np.float32((a >> 16) & 255)
+            + wb * np.float32((b >> 16) & 255)
+            + wc * np.float32((c >> 16) & 255)
+            + wd * np.float32((d >> 16) & 255)
+        )
+        f[RED + k] = red * red * look_gain[3 * look]
+        f[GREEN + k] = green * green * look_gain[3 * look + 1]
+        f[BLUE + k] = blue * blue * look_gain[3 * look + 2]
+
+
+@kernel
+def _radiance(f, n, light, pose, look_gloss):  # type: ignore[no-untyped-def]
+    """Light the albedo; where nothing was hit, the sky."""
+    for k in range(AREA):
+        nx, ny, nz = f[NX + k], f[NY + k], f[NZ + k]
+        dx, dy, dz, lit = f[DX + k], f[DY + k], f[DZ + k], f[LIT + k]
+        vx = pose[3] - f[PX + k]
+        vy = pose[7] - f[PY + k]
+        vz = pose[11] - f[PZ + k]
+        to_eye = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
+        to_light = _ONE / np.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+        hx, hy, hz = vx * to_eye + dx * to_light, vy * to_eye + dy * to_light, vz * to_eye + dz * to_light
+        half = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + _TINY)
+        half = min(max(half, _ZERO), _ONE)
+        look = n[LOOK + k]
+        strength, shininess = look_gloss[2 * look] * light[GLOSS], look_gloss[2 * look + 1]
+        # A rational stand-in for half ** shininess, scaled so that a narrow lobe is a bright one.
+        lobe = half / (shininess - shininess * half + half)
+        direct_gloss = strength * lobe * lobe * (_HALF + np.float32(0.04) * shininess) * lit
+        grazing = _ONE - abs(nx * vx + ny * vy + nz * vz) * to_eye
+        grazing *= grazing
+        ambient = f[OPEN + k] * (_AMBIENT_MEAN + _AMBIENT_UP * nz)
+        mirror = strength * grazing * grazing * f[OPEN + k]
+        up = max(-vz * to_eye, _ZERO)  # of a ray into the sky
+        zenith_share = np.sqrt(up)
+        below = _ONE if vz <= _ZERO else np.float32(0.6)
+        nothing = n[ID + k] < 0
+        for channel in range(3):
+            albedo = f[RED + channel * AREA + k]
+            colour, around = light[COLOUR + channel], light[AMBIENT + channel]
+            surface = albedo * (around * ambient + colour * lit) + direct_gloss * colour + mirror * around
+            horizon, zenith = light[HORIZON + channel], light[ZENITH + channel]
+            sky = below * (horizon + (zenith - horizon) * zenith_share)
+            f[RED + channel * AREA + k] = light[EXPOSURE] * (sky if nothing else surface)
+
+
+@kernel
+def _encode(f):  # type: ignore[no-untyped-def]
+    """Radiance to sRGB times 255: a shoulder instead of clipping, then the curve as a sum of roots."""
+    for k in range(3 * AREA):
+        x = f[RED + k]
+        over = (x - _KNEE) / (_ONE - _KNEE)
+        x = min(_KNEE + (_ONE - _KNEE) * np.float32(1.15) * over / (_ONE + over), _ONE) if x > _KNEE else x
+        x = max(x, _ZERO)
+        r2 = np.sqrt(x)
+        r4 = np.sqrt(r2)
+        r8 = np.sqrt(r4)
+        curve = _CURVE_1 * x + _CURVE_2 * r2 + _CURVE_4 * r4 + _CURVE_8 * r8
+        f[RED + k] = max(np.float32(12.92 * 255.0) * x if x < np.float32(0.0031308) else curve, _ZERO) + _HALF
+
+
+@kernel
+def _bounds(f, n, low, high):  # type: ignore[no-untyped-def]
+    """Box around the tile's points that are on a surface, into low and high, both (3,)."""
+    for a in range(3):
+        least, most = _HUGE, -_HUGE
+        for k in range(AREA):
+            value = f[PX + a * AREA + k]
+            hit = n[ID + k] >= 0
+            least = min(least, value if hit else _HUGE)
+            most = max(most, value if hit else -_HUGE)
+        low[a], high[a] = least, most
+
+
+@kernel
+def _brightest(f):  # type: ignore[no-untyped-def]
+    most = _ZERO
+    for k in range(AREA):
+        most = max(most, f[LIT + k])
+    return most
+
+
+@kernel
+def _may_shade(low, high, light, side, solid_low, solid_high, solid_side, i):  # type: ignore[no-untyped-def]
+    """Whether solid i can stand between the box low..high and the light.
+
+    side holds two directions across a sun's light, (2, 3), and solid_side how far solids reach along them, (n, 4).
+    """
+    if light[LAMP] > _ZERO:
+        for a in range(3):
+            if solid_high[i, a] <= min(low[a], light[LIGHT + a]) or solid_low[i, a] >= max(high[a], light[LIGHT + a]):
+                return False
+        return True
+    for a in range(3):
+        if light[LIGHT + a] >= _ZERO and solid_high[i, a] <= low[a] + _LIFT_M:
+            return False
+        if light[LIGHT + a] <= _ZERO and solid_low[i, a] >= high[a] - _LIFT_M:
+            return False
+    for b in range(2):
+        middle, reach = _ZERO, _ZERO
+        for a in range(3):
+            middle += side[b, a] * (low[a] + high[a]) * _HALF
+            reach += abs(side[b, a]) * (high[a] - low[a]) * _HALF
+        if solid_side[i, 2 * b] > middle + reach or solid_side[i, 2 * b + 1] < middle - reach:
+            return False
+    return True
+
+
+@kernel
+def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: ignore[no-untyped-def]
+    """Fill the buffers from the images; returns how many different solids are seen, listed in present."""
+    height, width = depth.shape
+    count = 0
+    for row in range(TILE):
+        v = v0 + row
+        for column in range(TILE):
+            u, k = u0 + column, row * TILE + column
+            inside = v < height and u < width
+            index = ids[v, u] if inside else -1
+            f[RX + k] = rx[min(u, width - 1)]
+            f[RY + k] = ry[min(v, height - 1)]
+            f[T + k] = depth[v, u] if index >= 0 else _ONE
+            n[ID + k] = index
+            if index >= 0 and seen[index] != stamp:
+                seen[index] = stamp
+                present[count] = index
+                count += 1
+    return count
+
+
+@kernel
+def shade_rows(  # type: ignore[no-untyped-def]
+    rows, rx, ry, kinds, sizes, m, o, rotations, centres, shifts, looks, low, high, solid_side,
+    texels, offsets, look_base, look_density, look_gain, look_gloss, light, side, pose, pixel_slope, depth, ids, rgb,
+):  # fmt: skip
+    """Colour whole rows of tiles.
+
+    Args:
+        rows: (k,) int64 indices of the rows of tiles.
+        rx, ry: (W,), (H,) float32 slopes of the rays through the pixel centres.
+        kinds, sizes, m, o: of n solids, as for `visibility.trace_rows`.
+        rotations: (n, 9) float32 local to world, row by row; centres: (n, 3) float32.
+        shifts: (n, 3) float32 origin of the texture coordinates in the local frame.
+        looks: (n, 2) int32, look of faces that point up and of the others.
+        low, high: (n, 3) float32 world bounding boxes.
+        solid_side: (n, 4) float32 low, high along the two directions in side.
+        texels: (textures * MIP_TEXELS,) int32, red | green << 8 | blue << 16, each 255 times the root of linear.
+        offsets: (MIP_LEVELS,) int32 start of each level in a texture.
+        look_base, look_density: (looks,) int32 first texel, float32 texels of the finest level per metre.
+        look_gain: (looks * 3,) float32; look_gloss: (looks * 2,) float32 strength and shininess.
+        light: (NUM_SETTINGS,) float32.
+        side: (2, 3) float32 unit vectors across the light's direction.
+        pose: (12,) float32 camera_to_world, row by row.
+        pixel_slope: float32, width of a pixel at a depth of 1 m, metres.
+        depth, ids: (H, W) as written by `visibility.trace_rows`.
+        rgb: (H, W, 3) uint8 out.
+    """
+    height, width = depth.shape
+    count = kinds.shape[0]
+    f, n = np.zeros(NUM_FLOATS, np.float32), np.zeros(NUM_INTS, np.int32)
+    tile_low, tile_high = np.empty(3, np.float32), np.empty(3, np.float32)
+    seen, present = np.zeros(count, np.int64), np.empty(count, np.int64)
+    stamp = 0
+    longest = _ONE if light[LAMP] > _ZERO else _HUGE
+    for row in rows:
+        v0 = row * TILE
+        for u0 in range(0, width, TILE):
+            stamp += 1
+            found = _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present)
+            _points(f, pose)
+            for j in range(found):
+                i = present[j]
+                if kinds[i] == BOX:
+                    _box_surface(
+                        f, n, m[i], o[i], sizes[i], rotations[i], shifts[i], looks[i, 0], looks[i, 1], np.int32(i)
+                    )
+                else:
+                    _round_surface(f, n, m[i], o[i], sizes[i], rotations[i], kinds[i], looks[i, 1], np.int32(i))
+            if found > 0:
+                _towards_light(f, n, light)
+                _bounds(f, n, tile_low, tile_high)
+                _albedo(f, n, texels, offsets, look_base, look_density, look_gain, pixel_slope)
+                dark = light[SHADOWS] == _ZERO or _brightest(f) == _ZERO
+                for i in range(count):
+                    near = True
+                    for a in range(3):
+                        near &= low[i, a] < tile_high[a] + _TWO * _OPEN_REACH_M
+                        near &= high[i, a] > tile_low[a] - _TWO * _OPEN_REACH_M
+                    if near and not (found == 1 and present[0] == i):
+                        _close_off(f, rotations[i], centres[i], sizes[i], kinds[i] == BOX)
+                    if not dark and _may_shade(tile_low, tile_high, light, side, low, high, solid_side, i):
+                        if kinds[i] == BOX:
+                            _shade_by_box(f, rotations[i], centres[i], sizes[i], longest)
+                        else:
+                            _shade_by_round(f, rotations[i], centres[i], sizes[i], kinds[i], longest)
+            _radiance(f, n, light, pose, look_gloss)
+            _encode(f)
+            for v in range(v0, min(v0 + TILE, height)):
+                for u in range(u0, min(u0 + TILE, width)):
+                    k = (v - v0) * TILE + u - u0
+                    rgb[v, u, 0] = np.uint8(f[RED + k])
+                    rgb[v, u, 1] = np.uint8(f[GREEN + k])
+                    rgb[v, u, 2] = np.uint8(f[BLUE + k])
