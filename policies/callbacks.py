@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,9 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from policies.checkpoints import save_checkpoint
+from stair_env.progress import progress_bar
 
+LOGGED = ("approx_kl", "explained_variance", "value_loss", "std", "ent_coef")  # SB3's names; each algorithm has some
 CURVE_FIELDS = (
     "timesteps",
     "wall_s",
@@ -21,10 +22,7 @@ CURVE_FIELDS = (
     "length_mean",
     "success_rate",
     "level_mean",
-    "approx_kl",
-    "entropy_loss",
-    "value_loss",
-    "std",
+    *LOGGED,
 )
 LEVEL_KEY = "curriculum_level"
 CURVE_EVERY = 4096  # environment steps: one row for each PPO rollout of 8 x 512
@@ -117,7 +115,7 @@ class CurveCallback(BaseCallback):
             "length_mean": _mean([episode["l"] for episode in buffer]),
             "success_rate": _mean(list(successes)),
             "level_mean": _mean(list(self._levels.values())),
-            **{name: logged.get(f"train/{name}", "") for name in ("approx_kl", "entropy_loss", "value_loss", "std")},
+            **{name: _number(logged.get(f"train/{name}")) for name in LOGGED},
         }
         with self._path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, CURVE_FIELDS).writerow(self._row)
@@ -133,11 +131,7 @@ class ProgressCallback(BaseCallback):
         self._levels: dict[int, float] = {}
 
     def _on_training_start(self) -> None:
-        from tqdm import tqdm
-
-        self._bar = tqdm(
-            total=self._total, initial=self.model.num_timesteps, unit="step", file=sys.stderr, dynamic_ncols=True
-        )
+        self._bar = progress_bar(self._total, "train", initial=self.model.num_timesteps, unit="step")
 
     def _on_step(self) -> bool:
         self._bar.update(self.model.num_timesteps - self._bar.n)
@@ -169,3 +163,8 @@ def read_curve(path: Path | str) -> list[dict[str, Any]]:
 def _mean(values: list[float]) -> float | str:
     """Rounded mean, "" (an empty cell) of nothing."""
     return round(float(np.mean(values)), 4) if values else ""
+
+
+def _number(value: Any) -> float | str:
+    """Rounded number, "" (an empty cell) for None."""
+    return "" if value is None else round(float(value), 6)

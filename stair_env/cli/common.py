@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from stair_env.progress import progress_bar
 from stair_env.provenance import atomic_path, provenance, write_json
 
 __all__ = [
     "add_common_arguments",
     "atomic_path",
     "choice_list",
+    "json_object",
     "json_path",
     "limit_threads",
     "positive_int",
     "progress",
+    "progress_bar",
     "provenance",
     "seed_value",
     "write_json",
@@ -75,12 +78,24 @@ def choice_list(choices: Iterable[str]) -> Callable[[str], tuple[str, ...]]:
     return parse
 
 
-def progress(items: Iterable[T], *, total: int | None = None, description: str = "") -> Iterable[T]:
-    """A progress bar on stderr around an iterable."""
-    from tqdm import tqdm
+def json_object(text: str) -> dict[str, Any]:
+    """Parse a JSON object."""
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not JSON: {error}") from None
+    if not isinstance(value, dict):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a JSON object")
+    return value
 
-    bar: Iterable[T] = tqdm(items, total=total, desc=description, file=sys.stderr, dynamic_ncols=True)
-    return bar
+
+def progress(items: Iterable[T], *, total: int | None = None, description: str = "") -> Iterator[T]:
+    """A progress bar on stderr around an iterable."""
+    size = total if total is not None else len(items) if isinstance(items, Sized) else None
+    with progress_bar(size, description) as bar:
+        for item in items:
+            yield item
+            bar.update()
 
 
 def limit_threads(threads: int = 1) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, limit_threads, positive_int, write_json
+from stair_env.cli.common import add_common_arguments, json_object, limit_threads, positive_int, write_json
 
 DIRECTIONS = ("up", "down", "both")
 
@@ -30,7 +29,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--no-curriculum", action="store_true", help="train on the whole range of stairs from the start"
     )
     parser.add_argument(
-        "--env-kwargs", type=_json_object, default={}, metavar="JSON", help="further arguments of the environment"
+        "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environment"
     )
     parser.add_argument("--timesteps", type=positive_int, help="environment steps in total (from the YAML file)")
     parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
@@ -38,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--hyperparams", metavar="FILE", help="YAML file in rl_zoo3's layout instead of the shipped one"
     )
-    parser.add_argument("--set", type=_json_object, default={}, metavar="JSON", help="hyperparameters to replace")
+    parser.add_argument("--set", type=json_object, default={}, metavar="JSON", help="hyperparameters to replace")
     parser.add_argument("--start-from", metavar="POLICY", help="begin with a shipped policy or a folder (fine-tuning)")
     parser.add_argument("--checkpoint-every", type=positive_int, default=50_000, help="environment steps (%(default)s)")
     parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard logs into the run's folder")
@@ -97,13 +96,3 @@ def _config(args: argparse.Namespace) -> Any:
         tensorboard=args.tensorboard,
         torch_threads=args.torch_threads,
     )
-
-
-def _json_object(text: str) -> dict[str, Any]:
-    try:
-        value = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not JSON: {error}") from None
-    if not isinstance(value, dict):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a JSON object")
-    return value

@@ -1,0 +1,283 @@
+"""Does seeing help? The same episodes with different sources of the stair block, side by side.
+
+Episode i of a cell has the same seed for every source: the same staircase, start and body, so that a difference
+between sources is what the robot was told and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
+from policies.rollout import COMPARED, GRAVITY, Episode, Predictor, ZeroAction, run_episode
+from policies.stair_sets import DIRECTIONS, Cell, make_cells
+from policies.statistics import root_mean_square, wilson_interval
+from stair_env.robots import get_robot
+from stair_env.simulation import CONTROL_DT
+from stair_env.stairs import check_choice
+
+CHUNK = 5  # episodes that a worker runs at a time: few enough to share the work evenly
+
+
+@dataclass(frozen=True)
+class Source:
+    """One way to fill the stair block, and who acts on it.
+
+    Attributes:
+        env_id: environment.
+        env_kwargs: its arguments.
+        actor: "policy", "blind" (a policy trained without sight) or "gait" (no policy).
+        perceived: the block was measured, so its errors are reported.
+    """
+
+    env_id: str
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    actor: str = "policy"
+    perceived: bool = False
+
+
+SOURCES: dict[str, Source] = {
+    "oracle": Source(CLIMB_ID, {"stair_source": "oracle"}),
+    "stairnet": Source(PERCEPTION_ID, perceived=True),
+    "noisy": Source(CLIMB_ID, {"stair_source": "noisy"}, perceived=True),
+    "blind": Source(CLIMB_ID, {"stair_source": "blind"}, actor="blind"),
+    "shuffled": Source(CLIMB_ID, {"stair_source": "shuffled"}),
+    "gait": Source(CLIMB_ID, {"stair_source": "oracle"}, actor="gait"),
+}
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What is compared.
+
+    Args:
+        policy: shipped name or folder of the policy that sees; None where only the gait walks.
+        blind_policy: the same for the policy trained without sight.
+        robot: which robot.
+        sources: names in SOURCES.
+        stairs: "paper", "grid" or "random".
+        directions: any of "up", "down".
+        episodes: of each cell and source.
+        seed: of all episodes.
+        lighting: "day", "night" or "random".
+        env_kwargs: further arguments of every environment.
+        workers: processes; 1 runs in this one.
+
+    Raises:
+        ValueError: a wrong value; the message names argument, value and choices.
+    """
+
+    policy: str | None = None
+    blind_policy: str | None = None
+    robot: str = "aliengo"
+    sources: Sequence[str] = ("oracle", "gait")
+    stairs: str = "paper"
+    directions: Sequence[str] = DIRECTIONS
+    episodes: int = 10
+    seed: int = 0
+    lighting: str = "day"
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise ValueError(f"sources is empty, choose from {', '.join(SOURCES)}")
+        for name in self.sources:
+            check_choice("source", name, tuple(SOURCES))
+        for name in ("episodes", "workers"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
+        get_robot(self.robot)
+        actors = {SOURCES[name].actor for name in self.sources}
+        if "policy" in actors and self.policy is None:
+            raise ValueError(f"policy=None: sources {', '.join(self.sources)} need a policy")
+        if "blind" in actors and self.blind_policy is None:
+            raise ValueError("blind_policy=None: source 'blind' needs a policy trained with stair_source='blind'")
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some episodes of one cell with one source."""
+
+    source: str
+    cell_index: int
+    env_id: str
+    env_kwargs: dict[str, Any]
+    options: dict[str, Any]
+    policy: str | None
+    seeds: tuple[int, ...]
+
+
+def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> dict[str, Any]:
+    """Run all episodes.
+
+    Args:
+        config: what to compare.
+        on_done: called with the number of episodes just finished.
+
+    Returns:
+        `cells` and `overall` as `stair-env evaluate --json` writes them.
+
+    Raises:
+        ValueError: a policy cannot be loaded or does not fit.
+        concurrent.futures.process.BrokenProcessPool: a worker died.
+    """
+    cells = make_cells(config.stairs, config.directions)
+    jobs = plan_jobs(config, cells)
+    records: dict[tuple[str, int], list[Episode]] = {}
+    for job, episodes in _run_jobs(jobs, config.workers):
+        records.setdefault((job.source, job.cell_index), []).extend(episodes)
+        if on_done:
+            on_done(len(episodes))
+    mass = get_robot(config.robot).mass
+    rows = []
+    for source in config.sources:
+        for index, cell in enumerate(cells):
+            episodes = sorted(records[source, index], key=lambda episode: episode.seed)
+            rows.append(_describe_cell(source, cell) | summarise(episodes, SOURCES[source].perceived, mass))
+    overall = {}
+    for source in config.sources:
+        everything = [episode for index in range(len(cells)) for episode in records[source, index]]
+        overall[source] = summarise(everything, SOURCES[source].perceived, mass)
+    return {"cells": rows, "overall": overall}
+
+
+def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
+    """All work in chunks; the slow sources first, so that no worker is left with them at the end."""
+    actors = {"policy": config.policy, "blind": config.blind_policy, "gait": None}
+    jobs = []
+    for name in sorted(config.sources, key=lambda name: SOURCES[name].env_id != PERCEPTION_ID):
+        source = SOURCES[name]
+        common = {"robot": config.robot, "lighting": config.lighting, **config.env_kwargs, **source.env_kwargs}
+        for index, cell in enumerate(cells):
+            seeds = episode_seeds(config.seed, index, config.episodes)
+            for start in range(0, len(seeds), CHUNK):
+                chunk = tuple(seeds[start : start + CHUNK])
+                kwargs = {**common, **cell.env_kwargs}
+                jobs.append(Job(name, index, source.env_id, kwargs, cell.options, actors[source.actor], chunk))
+    return jobs
+
+
+def episode_seeds(seed: int, cell_index: int, episodes: int) -> list[int]:
+    """Seeds of a cell's episodes, the same for every source."""
+    return [int(word) for word in np.random.SeedSequence([seed, cell_index]).generate_state(episodes)]
+
+
+def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> dict[str, Any]:
+    """Figures of some episodes; errors of the measurement only where there is one."""
+    successes = sum(episode.success for episode in episodes)
+    climbed = sum(episode.steps_climbed for episode in episodes)
+    walked = sum(max(episode.distance_m, 0.0) for episode in episodes)
+    times = [episode.control_steps * CONTROL_DT for episode in episodes if episode.success]
+    summary: dict[str, Any] = {
+        "episodes": len(episodes),
+        "successes": successes,
+        "success_rate": successes / len(episodes) if episodes else None,
+        "ci95": list(wilson_interval(successes, len(episodes))),
+        "steps_climbed_fraction": climbed / max(sum(episode.num_steps for episode in episodes), 1),
+        "riser_hits_per_step": sum(episode.riser_hits for episode in episodes) / max(climbed, 1),
+        "time_s": float(np.mean(times)) if times else None,
+        "cost_of_transport": sum(episode.energy_j for episode in episodes) / (mass_kg * GRAVITY * max(walked, 1e-6)),
+        "terminations": dict(sorted(Counter(episode.termination for episode in episodes).items())),
+    }
+    if perceived:
+        seen, measured = (sum(getattr(episode, name) for episode in episodes) for name in ("seen", "measured"))
+        summary["valid_fraction"] = measured / max(seen, 1)
+        summary["rmse_mm"] = {
+            name: root_mean_square(sum(episode.squared_error_mm2[name] for episode in episodes), measured)
+            for name in COMPARED
+        }
+    return summary
+
+
+def _describe_cell(source: str, cell: Cell) -> dict[str, Any]:
+    named = {"stair": cell.name} if cell.name else {}
+    size = {"riser_height": cell.riser_height, "tread_depth": cell.tread_depth, "num_steps": cell.num_steps}
+    return {"source": source, "direction": cell.direction, **named, **size}
+
+
+def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Episode]]]:
+    """Results as they come, from this process or from workers that start without its threads."""
+    if workers == 1:
+        with contextlib.closing(_Worker()) as worker:
+            for job in jobs:
+                yield job, worker.run(job)
+        return
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read by the workers' libraries at load
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
+        pending = {pool.submit(_run_in_worker, job): job for job in jobs}
+        try:
+            for done in as_completed(pending):
+                yield pending[done], done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+class _Worker:
+    """Keeps the environment and the policies between jobs."""
+
+    def __init__(self) -> None:
+        self._key: Any = None
+        self._env: gym.Env | None = None
+        self._policies: dict[str, Predictor] = {}
+
+    def run(self, job: Job) -> list[Episode]:
+        env = self._environment(job)
+        policy = self._policy(job.policy, env)
+        return [run_episode(env, policy, seed, options=job.options) for seed in job.seeds]
+
+    def _environment(self, job: Job) -> gym.Env:
+        key = (job.env_id, repr(sorted(job.env_kwargs.items())))
+        if key != self._key or self._env is None:
+            self.close()
+            self._env, self._key = make_env(job.env_id, job.env_kwargs, monitor=False), key
+        return self._env
+
+    def _policy(self, name: str | None, env: gym.Env) -> Predictor:
+        if name is None:
+            return ZeroAction(env.action_space)
+        from policies import pretrained
+
+        if name not in self._policies:
+            self._policies[name] = pretrained.load(name, env)
+        return self._policies[name]
+
+    def close(self) -> None:
+        if self._env is not None:
+            self._env.close()
+        self._env = self._key = None
+
+
+_WORKER: list[_Worker] = []  # one in each worker process
+
+
+def _run_in_worker(job: Job) -> list[Episode]:
+    if not _WORKER:
+        _limit_torch()
+        _WORKER.append(_Worker())
+    return _WORKER[0].run(job)
+
+
+def _limit_torch() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def count_episodes(config: EvaluationConfig) -> int:
+    """How many episodes `evaluate` will run."""
+    cells: Iterable[Cell] = make_cells(config.stairs, config.directions)
+    return len(list(cells)) * config.episodes * len(config.sources)

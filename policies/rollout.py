@@ -1,0 +1,146 @@
+"""One episode: a policy on an environment, and what it achieved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+
+from stair_env.observation import STAIR_FIELDS
+
+GRAVITY = 9.81  # m/s², of the cost of transport
+MM = 1000.0
+COMPARED = {"width": "step_width", "height": "step_height", "distance": "edge_distance"}  # error -> field of the block
+StepHook = Callable[[Mapping[str, Any], Mapping[str, Any]], None]
+
+
+class Predictor(Protocol):
+    """What acts: a `policies.pretrained.Policy`, an SB3 model, or ZeroAction."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        """Action and the policy's memory."""
+
+
+class ZeroAction:
+    """The gait alone: nothing is modulated.
+
+    Args:
+        action_space: of the environment.
+    """
+
+    def __init__(self, action_space: gym.Space) -> None:
+        self._action = np.zeros(action_space.shape or (), np.float32)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        """Zeros, whatever is seen."""
+        return self._action, state
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Outcome of an episode; JSON-able.
+
+    Attributes:
+        seed: it was reset with.
+        success: both rear feet on the landing, upright.
+        steps_climbed, num_steps: edges got behind it, and how many there are.
+        control_steps: length.
+        total_reward: sum of the rewards.
+        termination: why it ended, "time_limit" when it ran out of time.
+        distance_m: walked along x.
+        energy_j: mechanical work of the joints, positive and negative counted alike.
+        riser_hits: control steps in which a foot struck a riser, summed over feet.
+        seen: control steps in which the truth has stairs ahead.
+        measured: those of them in which the observation has, too.
+        squared_error_mm2: sums over `measured` of the squared differences, by name (width, height, distance).
+    """
+
+    seed: int
+    success: bool
+    steps_climbed: int
+    num_steps: int
+    control_steps: int
+    total_reward: float
+    termination: str
+    distance_m: float
+    energy_j: float
+    riser_hits: int
+    seen: int
+    measured: int
+    squared_error_mm2: dict[str, float]
+
+
+def run_episode(
+    env: gym.Env,
+    policy: Predictor,
+    seed: int,
+    *,
+    options: Mapping[str, Any] | None = None,
+    on_step: StepHook | None = None,
+) -> Episode:
+    """Run one episode to its end.
+
+    Args:
+        env: a climbing environment.
+        policy: what acts.
+        seed: of the episode.
+        options: of `env.reset`.
+        on_step: called with observation and info after reset and after each step.
+    """
+    observation, info = env.reset(seed=seed, options=dict(options) if options else None)
+    start_x = info["truth"]["position"][0]
+    tally = _Tally()
+    total, steps, state = 0.0, 0, None
+    terminated = truncated = False
+    if on_step:
+        on_step(observation, info)
+    while not (terminated or truncated):
+        action, state = policy.predict(observation, state, deterministic=True)
+        observation, reward, terminated, truncated, info = env.step(action)
+        total, steps = total + float(reward), steps + 1
+        tally.add(observation, info["truth"])
+        if on_step:
+            on_step(observation, info)
+    truth = info["truth"]
+    return Episode(
+        seed=seed,
+        success=bool(info["is_success"]),
+        steps_climbed=int(info["steps_climbed"]),
+        num_steps=int(truth["num_steps"]),
+        control_steps=steps,
+        total_reward=total,
+        termination=str(info.get("termination") or "time_limit"),
+        distance_m=float(truth["position"][0] - start_x),
+        energy_j=float(truth["energy_j"]),
+        riser_hits=tally.riser_hits,
+        seen=tally.seen,
+        measured=tally.measured,
+        squared_error_mm2=tally.squared_error_mm2,
+    )
+
+
+class _Tally:
+    """Sums over an episode's control steps."""
+
+    def __init__(self) -> None:
+        self.riser_hits = self.seen = self.measured = 0
+        self.squared_error_mm2 = dict.fromkeys(COMPARED, 0.0)
+
+    def add(self, observation: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+        self.riser_hits += int(truth["riser_hits"])
+        if truth["valid"] < 0.5:
+            return
+        self.seen += 1
+        block = dict(zip(STAIR_FIELDS, np.asarray(observation["stair"], np.float64)))
+        if block["valid"] < 0.5:
+            return
+        self.measured += 1
+        for name, field in COMPARED.items():
+            self.squared_error_mm2[name] += ((block[field] - truth[field]) * MM) ** 2
