@@ -8,6 +8,7 @@ h up). Two methods give the same result type: "planes", the default, which fits 
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -19,7 +20,8 @@ from stair_env.camera.intrinsics import Intrinsics
 
 OMEGA_M = 0.05  # the paper's threshold: smaller widths and heights are noise of one and the same face
 MIN_SUPPORT = 2  # cell predictions behind a line
-MAX_RISER_M, MAX_TREAD_M = 0.30, 0.60  # larger is no stair
+MAX_RISER_M, MAX_TREAD_M = 0.25, 0.50  # larger is no stair
+MAX_HIDDEN_RUN_M = 0.45  # of the tread below a nosing; when more is out of sight, a whole step may be
 LINE_JITTER_PX = 1.0  # of a detected line, in pixels of the 512 x 512 image
 GRAVITY_STD_RAD = math.radians(0.7)  # fused attitude on a walking robot, with some margin
 SCALE_STD = 0.003  # a calibrated D435i: within 0.5 %, uniform
@@ -219,7 +221,7 @@ def _direction(profile: _Profile, omega_m: float) -> int:
     """
     votes = sum(1 for kind in profile.kind if kind == RISER)
     heights = [value for kind, value in zip(profile.kind, profile.value) if kind == TREAD]
-    for near, far in zip(heights, heights[1:]):
+    for near, far in itertools.pairwise(heights):
         if abs(far - near) >= omega_m:
             votes += 1 if far > near else -1
     return int(np.sign(votes))
@@ -329,7 +331,7 @@ def _finish(
     near = edges[index - 1] if index > 0 else None
     riser = riser_std = tread = tread_std = None
     level = _level_beside(profile, direction, edge, near)
-    if level is not None:
+    if level is not None and not _may_hide_a_step(direction, edge, level[0]):
         riser = abs(edge.height - level[0])
         riser_std = math.sqrt(edge.height_std**2 + level[1] ** 2 + (pitch_std * 0.3) ** 2 + (SCALE_STD * riser) ** 2)
         if not omega_m <= riser <= MAX_RISER_M:
@@ -339,11 +341,23 @@ def _finish(
         tread_std = math.sqrt(
             edge.forward_std**2 + far.forward_std**2 + (pitch_std * 0.15) ** 2 + (SCALE_STD * tread) ** 2
         )
-        if not omega_m <= tread <= MAX_TREAD_M:
+        if not omega_m <= tread <= MAX_TREAD_M or (direction == DOWN and riser is None):
             tread = tread_std = None
     distance_std = math.hypot(edge.forward_std, SCALE_STD * edge.forward)
     height_std = math.hypot(edge.height_std, pitch_std * edge.forward)
     return Nosing(edge.forward, distance_std, edge.height, height_std, riser, riser_std, tread, tread_std)
+
+
+def _may_hide_a_step(direction: int, edge: _Edge, lower_m: float) -> bool:
+    """Whether the line of sight over a descending nosing meets the next tread in view too far behind it.
+
+    A step is out of sight when the view over the nosing is flatter than the stairs; what is seen next then lies more
+    than two treads behind.
+    """
+    if direction == UP:
+        return False
+    view = max(-edge.height, 1e-3) / max(edge.forward, 1e-3)
+    return (edge.height - lower_m) / view > MAX_HIDDEN_RUN_M
 
 
 def _adjoins(profile: _Profile, edge: _Edge, far: _Edge) -> bool:

@@ -310,4 +310,7 @@ def to_image_pixels(lines: np.ndarray, width: int, height: int) -> np.ndarray:
 def as_stair_lines(lines: np.ndarray, kinds: tuple[str, ...] | None = None) -> tuple[StairLine, ...]:
     """Rows of `LINE_FIELDS` as objects; kinds, if given, one per row."""
     names = kinds if kinds is not None else ("unknown",) * len(lines)
-    return tuple(StairLine(*map(float, row[:7]), support=int(row[7]), kind=name) for row, name in zip(lines, names))
+    return tuple(
+        StairLine(x1, y1, x2, y2, k, b, score, int(support), name)
+        for (x1, y1, x2, y2, k, b, score, support), name in zip(lines.tolist(), names)
+    )
