@@ -19,7 +19,7 @@ CELL_HEIGHT_PX = IMAGE_SIZE / GRID_ROWS
 CELL_WIDTH_PX = IMAGE_SIZE / GRID_COLUMNS
 CONVEX = 0  # class of a nosing in label files
 CONCAVE = 1  # class of an inner edge
-MIN_SEGMENT = 0.125  # of a cell's diagonal-normalised size: shorter pieces in a corner give a cell no line of its own
+MIN_SEGMENT = 0.125  # of a cell: a shorter piece in a corner gives the cell no line of its own
 
 
 class LabelError(ValueError):
@@ -50,13 +50,20 @@ def order_left_first(lines: np.ndarray) -> np.ndarray:
     return np.where(swap[:, None], lines[:, [2, 3, 0, 1]], lines)
 
 
-def encode_grid(lines: np.ndarray, min_segment: float = MIN_SEGMENT) -> LabelGrid:
+def encode_grid(
+    lines: np.ndarray,
+    min_segment: float = MIN_SEGMENT,
+    *,
+    rows: int = GRID_ROWS,
+    columns: int = GRID_COLUMNS,
+) -> LabelGrid:
     """Cut lines into the grid's cells.
 
     Args:
         lines: (n, 4) float, pixels of the 512 x 512 image, any end first; parts outside the image are cut off.
         min_segment: pieces whose extent within the cell is shorter than this (in cell units, the larger of the two
             axes) are left out, so that a line that only nicks a corner does not claim the cell.
+        rows, columns: size of the grid, for images smaller than 512 pixels; cells stay 32 x 16 pixels.
 
     Returns:
         The grid. Where more than two lines cross a cell the two longest pieces stay; of two lines the upper one
@@ -64,11 +71,11 @@ def encode_grid(lines: np.ndarray, min_segment: float = MIN_SEGMENT) -> LabelGri
     """
     segments: dict[tuple[int, int], list[np.ndarray]] = {}
     for line in order_left_first(lines):
-        for row, column, piece in _cut(line):
+        for row, column, piece in _cut(line, rows, columns):
             if np.abs(piece[2:] - piece[:2]).max() >= min_segment:
                 segments.setdefault((row, column), []).append(piece)
-    cls = np.zeros((GRID_ROWS, GRID_COLUMNS), dtype=np.float32)
-    loc = np.zeros((GRID_ROWS, GRID_COLUMNS, 8), dtype=np.float32)
+    cls = np.zeros((rows, columns), dtype=np.float32)
+    loc = np.zeros((rows, columns, 8), dtype=np.float32)
     for cell, pieces in segments.items():
         longest = sorted(pieces, key=lambda p: -float(np.hypot(*(p[2:] - p[:2]))))[:2]
         first, *rest = sorted(longest, key=lambda p: (p[1] + p[3], p[0] + p[2]))
@@ -77,7 +84,7 @@ def encode_grid(lines: np.ndarray, min_segment: float = MIN_SEGMENT) -> LabelGri
     return LabelGrid(cls, loc)
 
 
-def _cut(line: np.ndarray) -> list[tuple[int, int, np.ndarray]]:
+def _cut(line: np.ndarray, rows: int, columns: int) -> list[tuple[int, int, np.ndarray]]:
     """(row, column, piece (4,) within the cell) for each cell that a line (4,) in pixels passes."""
     scale = np.array([CELL_WIDTH_PX, CELL_HEIGHT_PX])
     start, end = line[:2] / scale, line[2:] / scale
@@ -88,13 +95,13 @@ def _cut(line: np.ndarray) -> list[tuple[int, int, np.ndarray]]:
     for axis in range(2):
         if step[axis] != 0.0:
             low, high = sorted((start[axis], end[axis]))
-            whole = np.arange(np.ceil(max(low, 0.0)), np.floor(min(high, GRID_ROWS)) + 1)
+            whole = np.arange(np.ceil(max(low, 0.0)), np.floor(min(high, max(rows, columns))) + 1)
             cuts.extend((whole - start[axis]) / step[axis])
     t = np.unique(np.clip(cuts, 0.0, 1.0))
     found = []
     for t0, t1 in zip(t[:-1], t[1:]):
         column, row = np.floor(start + step * (t0 + t1) / 2).astype(int)
-        if 0 <= row < GRID_ROWS and 0 <= column < GRID_COLUMNS:
+        if 0 <= row < rows and 0 <= column < columns:
             corner = np.array([column, row])
             piece = np.concatenate([start + step * t0 - corner, start + step * t1 - corner])
             found.append((int(row), int(column), np.clip(piece, 0.0, 1.0)))
