@@ -13,7 +13,7 @@ from stair_env.camera.renderers import shading
 from stair_env.scene import Shape
 
 MIP_CACHE = 64  # textures kept with their mip levels, 350 kB each
-PLAIN_DENSITY = 1e-3  # texels per metre of a surface without texture: everything is its coarsest level
+PLAIN_DENSITY = 1e6  # texels per metre of a surface without texture: a pixel covers the whole coarsest level
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,7 @@ class Looks:
 
     texels: np.ndarray
     base: np.ndarray
-    density: np.ndarray
-    gain: np.ndarray
-    gloss: np.ndarray
+    values: np.ndarray
 
 
 class LookTable:
@@ -73,18 +71,18 @@ class LookTable:
         textures = {(look.material, look.seed): 0 for look in looks}
         for place, key in enumerate(textures):
             textures[key] = place
-        base = [textures[look.material, look.seed] * shading.MIP_TEXELS for look in looks]
-        density = [
-            shading.MIP_SIDE / (look.texture.metres_per_tile * look.texture_scale) if self._textured else PLAIN_DENSITY
-            for look in looks
-        ]
+        values = np.zeros((len(looks), shading.NUM_LOOK), np.float32)
+        for row, look in zip(values, looks):
+            texture = look.texture
+            density = shading.MIP_SIDE / (texture.metres_per_tile * look.texture_scale)
+            row[shading.LOOK_DENSITY] = density if self._textured else PLAIN_DENSITY
+            row[shading.LOOK_STRENGTH] = texture.specular
+            row[shading.LOOK_SHININESS] = texture.shininess
+            row[shading.LOOK_GAIN :] = np.array(look.gain) / 255.0**2  # the kernel squares texels of 0..255
         return Looks(
             texels=np.concatenate([mip_levels(*key) for key in textures]),
-            base=np.array(base, np.int32),
-            density=np.array(density, np.float32),
-            # The kernel's albedo is squared 0..255.
-            gain=(np.array([look.gain for look in looks], np.float32) / 255.0**2).ravel(),
-            gloss=np.array([(look.texture.specular, look.texture.shininess) for look in looks], np.float32).ravel(),
+            base=np.array([textures[look.material, look.seed] * shading.MIP_TEXELS for look in looks], np.int32),
+            values=values,
         )
 
 
@@ -106,12 +104,6 @@ def mip_levels(material: str, seed: int) -> np.ndarray:
         half = max(image.shape[0] // 2, 1)
         image = image.reshape(half, -1, half, image.shape[1] // half, 3).mean(axis=(1, 3))
     return np.concatenate(levels)
-
-
-def mip_offsets() -> np.ndarray:
-    """(MIP_LEVELS,) int32 index of each level's first texel."""
-    sizes = [(shading.MIP_SIDE >> level) ** 2 for level in range(shading.MIP_LEVELS)]
-    return np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int32)
 
 
 def light_settings(appearance: AppearanceSpec, shadows: bool) -> np.ndarray:

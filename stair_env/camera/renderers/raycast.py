@@ -11,7 +11,7 @@ from stair_env.appearance import AppearanceSpec
 from stair_env.camera.intrinsics import Intrinsics
 from stair_env.camera.renderers import shading, visibility
 from stair_env.camera.renderers.base import FAR_M, NEAR_M, Frame, SceneLike, check_pose
-from stair_env.camera.renderers.looks import LookTable, across, light_settings, mip_offsets
+from stair_env.camera.renderers.looks import LookTable, across, light_settings
 from stair_env.camera.renderers.solids import Solids
 from stair_env.camera.renderers.threads import run_rows
 from stair_env.scene import Shape
@@ -110,7 +110,7 @@ class RaycastRenderer:
         ry = ((np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy).astype(np.float32)
         rotations = solids.rotations.reshape(-1, 9).astype(np.float32)
         centres = solids.centres.astype(np.float32)
-        looks, offsets = self._table.arrays(), mip_offsets()
+        looks = self._table.arrays()
         row_major_pose = np.ascontiguousarray(pose[:3], dtype=np.float32).ravel()
         near, far = np.float32(NEAR_M), np.float32(FAR_M)
         pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
@@ -121,8 +121,7 @@ class RaycastRenderer:
             )  # fmt: skip
             shading.shade_rows(
                 rows, rx, ry, solids.kinds, solids.sizes, m, o, rotations, centres, solids.shifts, solids.looks,
-                solids.low, solids.high, solids.side, looks.texels, offsets, looks.base, looks.density, looks.gain,
-                looks.gloss, self._light, self._side, row_major_pose, pixel_slope, depth, ids, rgb,
+                solids.low, solids.high, solids.side, looks.texels, looks.base, looks.values, self._light, self._side, row_major_pose, pixel_slope, depth, ids, rgb,
             )  # fmt: skip
 
         run_rows(draw, -(-intrinsics.height // visibility.TILE), self._threads)

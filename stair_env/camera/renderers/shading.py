@@ -27,11 +27,19 @@ U, V = 9 * AREA, 10 * AREA  # coordinates on the surface, metres
 LIT, OPEN = 11 * AREA, 12 * AREA  # share of direct and of ambient light that arrives
 DX, DY, DZ = 13 * AREA, 14 * AREA, 15 * AREA  # towards the light; as long as the way to a lamp
 RED, GREEN, BLUE = 16 * AREA, 17 * AREA, 18 * AREA  # albedo, then encoded colour
-NUM_FLOATS = 19 * AREA
+DENSITY, STRENGTH, SHININESS = 19 * AREA, 20 * AREA, 21 * AREA  # of the look: texels per metre, gloss
+GAIN = 22 * AREA  # of the look, three blocks
+ACROSS, DOWN = 25 * AREA, 26 * AREA  # place between four texels, 0 to 1
+LANES = 27 * AREA  # scratch
+NUM_FLOATS = 28 * AREA
 # Blocks of the integer buffer.
-ID, LOOK = 0 * AREA, 1 * AREA
-NUM_INTS = 2 * AREA
+ID, BASE = 0 * AREA, 1 * AREA  # solid, first texel of the look's texture
+TEXELS = 2 * AREA  # indices of four texels, then the texels themselves
+NUM_INTS = 6 * AREA
 
+# Entries of a look, see `stair_env.camera.renderers.looks`.
+LOOK_DENSITY, LOOK_STRENGTH, LOOK_SHININESS, LOOK_GAIN = 0, 1, 2, 3
+NUM_LOOK = 6
 # Entries of the vector of light settings; see `stair_env.camera.renderers.looks`.
 LIGHT, LAMP, COLOUR, AMBIENT, EXPOSURE, GLOSS, HORIZON, ZENITH, SHADOWS = 0, 3, 4, 7, 10, 11, 12, 15, 18
 NUM_SETTINGS = 19
@@ -47,6 +55,10 @@ _AMBIENT_MEAN, _AMBIENT_UP = np.float32(0.78), np.float32(0.22)  # more light co
 # Least-squares fit of 255 sRGB(x) over 0.0031308..1 by x and its 2nd, 4th and 8th root; errs by 0.02 levels at most.
 _CURVE_1, _CURVE_2 = np.float32(-4.67033), np.float32(164.28962)
 _CURVE_4, _CURVE_8 = np.float32(181.07308), np.float32(-85.69578)
+_COARSER_FROM = np.float32(1.4)  # texels a pixel, from which on a coarser level is sharp enough
+_FINER_TEXELS = np.float32(4.0 / 3.0 * MIP_SIDE**2)
+_LOBE_PEAK = np.float32(0.04)
+_BELOW_HORIZON = np.float32(0.6)  # brightness of the ground beyond the floor's end relative to the sky above it
 _KNEE = np.float32(0.75)  # radiance above which the film's shoulder begins
 
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -63,8 +75,8 @@ def _points(f, pose):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _box_surface(f, n, m, o, size, rotation, shift, up_look, side_look, index):  # type: ignore[no-untyped-def]
-    """Normals, surface coordinates and looks of the pixels that see box number index."""
+def _box_surface(f, n, m, o, size, rotation, shift, index):  # type: ignore[no-untyped-def]
+    """Normals and surface coordinates of the pixels that see box number index."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
     r20, r21, r22 = rotation[6], rotation[7], rotation[8]
@@ -91,12 +103,10 @@ def _box_surface(f, n, m, o, size, rotation, shift, up_look, side_look, index): 
         v = q2 if (on0 | on1) else (q1 if x_is_long else q0)
         f[U + k] = u if mine else f[U + k]
         f[V + k] = v if mine else f[V + k]
-        look = up_look if nz > _FACES_UP else side_look
-        n[LOOK + k] = look if mine else n[LOOK + k]
 
 
 @kernel
-def _round_surface(f, n, m, o, size, rotation, kind, look, index):  # type: ignore[no-untyped-def]
+def _round_surface(f, n, m, o, size, rotation, kind, index):  # type: ignore[no-untyped-def]
     """The same for a sphere, cylinder or capsule."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
@@ -119,7 +129,21 @@ def _round_surface(f, n, m, o, size, rotation, kind, look, index):  # type: igno
         f[NZ + k] = r20 * n0 + r21 * n1 + r22 * n2 if mine else f[NZ + k]
         f[U + k] = p2 if mine else f[U + k]
         f[V + k] = np.float32(1.6) * radius * p1 / (abs(p0) + abs(p1) + _TINY) if mine else f[V + k]
-        n[LOOK + k] = look if mine else n[LOOK + k]
+
+
+@kernel
+def _apply_look(f, n, up_base, up, side_base, side, index):  # type: ignore[no-untyped-def]
+    """Spread the two looks of solid number index, each (NUM_LOOK,), over its pixels."""
+    for k in range(AREA):
+        mine = n[ID + k] == index
+        faces_up = f[NZ + k] > _FACES_UP
+        n[BASE + k] = (up_base if faces_up else side_base) if mine else n[BASE + k]
+    for block in range(NUM_LOOK):
+        a, b = up[block], side[block]
+        for k in range(AREA):
+            mine = n[ID + k] == index
+            value = a if f[NZ + k] > _FACES_UP else b
+            f[DENSITY + block * AREA + k] = value if mine else f[DENSITY + block * AREA + k]
 
 
 @kernel
@@ -210,80 +234,89 @@ def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _albedo(f, n, texels, offsets, look_base, look_density, look_gain, pixel_slope):  # type: ignore[no-untyped-def]
-    """Sample the textures: bilinear, in the mip level whose texels are about a pixel wide."""
+def _find_texels(f, n, pixel_slope):  # type: ignore[no-untyped-def]
+    """Which four texels surround a pixel, in the mip level whose texels are about as wide as the pixel."""
     for k in range(AREA):
-        look = n[LOOK + k]
-        density = look_density[look]
-        footprint = f[T + k] * pixel_slope * density
-        level = 0
+        footprint = f[T + k] * pixel_slope * f[DENSITY + k]
+        shrink = _ONE
         for power in range(MIP_LEVELS - 1):
-            level += np.int32(footprint > np.float32(1.4) * np.float32(1 << power))
-        side = MIP_SIDE >> level
-        wrap = side - 1
-        scale = density * np.float32(side) * np.float32(1.0 / MIP_SIDE)
-        column, row = f[U + k] * scale - _HALF, f[V + k] * scale - _HALF
+            shrink = shrink * _HALF if footprint > _COARSER_FROM * np.float32(1 << power) else shrink
+        column = f[U + k] * f[DENSITY + k] * shrink - _HALF
+        row = f[V + k] * f[DENSITY + k] * shrink - _HALF
         column_floor, row_floor = np.floor(column), np.floor(row)
-        across, down = column - column_floor, row - row_floor
-        left, top = np.int32(column_floor) & wrap, np.int32(row_floor) & wrap
-        right, bottom = (left + 1) & wrap, (top + 1) & wrap
-        base = look_base[look] + offsets[level]
-        a, b = texels[base + top * side + left], texels[base + top * side + right]
-        c, d = texels[base + bottom * side + left], texels[base + bottom * side + right]
-        wa, wb = (_ONE - across) * (_ONE - down), across * (_ONE - down)
-        wc, wd = (_ONE - across) * down, across * down
-        red = wa * np.float32(a & 255) + wb * np.float32(b & 255) + wc * np.float32(c & 255) + wd * np.float32(d & 255)
-        green = (
-            wa * np.float32((a >> 8) & 255)
-            + wb * np.float32((b >> 8) & 255)
-            + wc * np.float32((c >> 8) & 255)
-            + wd * np.float32((d >> 8) & 255)
-        )
-        blue = (
-            wa * np.float32((a >> 16) & 255)
-            + wb * np.float32((b >> 16) & 255)
-            + wc * np.float32((c >> 16) & 255)
-            + wd * np.float32((d >> 16) & 255)
-        )
-        f[RED + k] = red * red * look_gain[3 * look]
-        f[GREEN + k] = green * green * look_gain[3 * look + 1]
-        f[BLUE + k] = blue * blue * look_gain[3 * look + 2]
+        f[ACROSS + k], f[DOWN + k] = column - column_floor, row - row_floor
+        side = np.int32(np.float32(MIP_SIDE) * shrink)
+        # The finer levels hold MIP_SIDE^2 (1 + 1/4 + ...) = 4/3 (MIP_SIDE^2 - side^2) texels.
+        base = n[BASE + k] + np.int32(_FINER_TEXELS * (_ONE - shrink * shrink) + _HALF)
+        left, top = np.int32(column_floor) & (side - 1), np.int32(row_floor) & (side - 1)
+        right, bottom = (left + 1) & (side - 1), (top + 1) & (side - 1)
+        n[TEXELS + k] = base + top * side + left
+        n[TEXELS + AREA + k] = base + top * side + right
+        n[TEXELS + 2 * AREA + k] = base + bottom * side + left
+        n[TEXELS + 3 * AREA + k] = base + bottom * side + right
 
 
 @kernel
-def _radiance(f, n, light, pose, look_gloss):  # type: ignore[no-untyped-def]
+def _fetch_texels(n, texels):  # type: ignore[no-untyped-def]
+    """Replace indices by texels; apart from the rest because loads from anywhere do not vectorise."""
+    for k in range(4 * AREA):
+        n[TEXELS + k] = texels[n[TEXELS + k]]
+
+
+@kernel
+def _blend_texels(f, n):  # type: ignore[no-untyped-def]
+    """Bilinear albedo from the four texels."""
+    for k in range(AREA):
+        across, down = f[ACROSS + k], f[DOWN + k]
+        wa, wb = (_ONE - across) * (_ONE - down), across * (_ONE - down)
+        wc, wd = (_ONE - across) * down, across * down
+        a, b, c, d = n[TEXELS + k], n[TEXELS + AREA + k], n[TEXELS + 2 * AREA + k], n[TEXELS + 3 * AREA + k]
+        red = wa * np.float32(a & 255) + wb * np.float32(b & 255)
+        red += wc * np.float32(c & 255) + wd * np.float32(d & 255)
+        green = wa * np.float32((a >> 8) & 255) + wb * np.float32((b >> 8) & 255)
+        green += wc * np.float32((c >> 8) & 255) + wd * np.float32((d >> 8) & 255)
+        blue = wa * np.float32((a >> 16) & 255) + wb * np.float32((b >> 16) & 255)
+        blue += wc * np.float32((c >> 16) & 255) + wd * np.float32((d >> 16) & 255)
+        f[RED + k] = red * red * f[GAIN + k]
+        f[GREEN + k] = green * green * f[GAIN + AREA + k]
+        f[BLUE + k] = blue * blue * f[GAIN + 2 * AREA + k]
+
+
+@kernel
+def _radiance(f, n, light, pose):  # type: ignore[no-untyped-def]
     """Light the albedo; where nothing was hit, the sky."""
+    gloss, exposure = light[GLOSS], light[EXPOSURE]
+    lr, lg, lb = light[COLOUR], light[COLOUR + 1], light[COLOUR + 2]
+    ar, ag, ab = light[AMBIENT], light[AMBIENT + 1], light[AMBIENT + 2]
+    hr, hg, hb = light[HORIZON], light[HORIZON + 1], light[HORIZON + 2]
+    zr, zg, zb = light[ZENITH] - hr, light[ZENITH + 1] - hg, light[ZENITH + 2] - hb
+    ex, ey, ez = pose[3], pose[7], pose[11]
     for k in range(AREA):
         nx, ny, nz = f[NX + k], f[NY + k], f[NZ + k]
-        dx, dy, dz, lit = f[DX + k], f[DY + k], f[DZ + k], f[LIT + k]
-        vx = pose[3] - f[PX + k]
-        vy = pose[7] - f[PY + k]
-        vz = pose[11] - f[PZ + k]
+        dx, dy, dz, lit, opened = f[DX + k], f[DY + k], f[DZ + k], f[LIT + k], f[OPEN + k]
+        vx, vy, vz = ex - f[PX + k], ey - f[PY + k], ez - f[PZ + k]
         to_eye = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
         to_light = _ONE / np.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
-        hx, hy, hz = vx * to_eye + dx * to_light, vy * to_eye + dy * to_light, vz * to_eye + dz * to_light
-        half = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + _TINY)
-        half = min(max(half, _ZERO), _ONE)
-        look = n[LOOK + k]
-        strength, shininess = look_gloss[2 * look] * light[GLOSS], look_gloss[2 * look + 1]
+        mx, my, mz = vx * to_eye + dx * to_light, vy * to_eye + dy * to_light, vz * to_eye + dz * to_light
+        half = (nx * mx + ny * my + nz * mz) / np.sqrt(mx * mx + my * my + mz * mz + _TINY)
+        half = half if half > _ZERO else _ZERO
+        strength, shininess = f[STRENGTH + k] * gloss, f[SHININESS + k]
         # A rational stand-in for half ** shininess, scaled so that a narrow lobe is a bright one.
-        lobe = half / (shininess - shininess * half + half)
-        direct_gloss = strength * lobe * lobe * (_HALF + np.float32(0.04) * shininess) * lit
+        lobe = half / (shininess - shininess * half + half + _TINY)
+        shine = strength * lobe * lobe * (_HALF + _LOBE_PEAK * shininess) * lit
         grazing = _ONE - abs(nx * vx + ny * vy + nz * vz) * to_eye
-        grazing *= grazing
-        ambient = f[OPEN + k] * (_AMBIENT_MEAN + _AMBIENT_UP * nz)
-        mirror = strength * grazing * grazing * f[OPEN + k]
-        up = max(-vz * to_eye, _ZERO)  # of a ray into the sky
-        zenith_share = np.sqrt(up)
-        below = _ONE if vz <= _ZERO else np.float32(0.6)
-        nothing = n[ID + k] < 0
-        for channel in range(3):
-            albedo = f[RED + channel * AREA + k]
-            colour, around = light[COLOUR + channel], light[AMBIENT + channel]
-            surface = albedo * (around * ambient + colour * lit) + direct_gloss * colour + mirror * around
-            horizon, zenith = light[HORIZON + channel], light[ZENITH + channel]
-            sky = below * (horizon + (zenith - horizon) * zenith_share)
-            f[RED + channel * AREA + k] = light[EXPOSURE] * (sky if nothing else surface)
+        mirror = strength * grazing * grazing * grazing * opened
+        ambient = opened * (_AMBIENT_MEAN + _AMBIENT_UP * nz)
+        up = -vz * to_eye  # of a ray into the sky
+        dim = _ONE if up >= _ZERO else _BELOW_HORIZON
+        high = np.sqrt(up if up > _ZERO else _ZERO)
+        hit = n[ID + k] >= 0
+        red = f[RED + k] * (ar * ambient + lr * lit) + shine * lr + mirror * ar
+        green = f[GREEN + k] * (ag * ambient + lg * lit) + shine * lg + mirror * ag
+        blue = f[BLUE + k] * (ab * ambient + lb * lit) + shine * lb + mirror * ab
+        f[RED + k] = exposure * (red if hit else dim * (hr + zr * high))
+        f[GREEN + k] = exposure * (green if hit else dim * (hg + zg * high))
+        f[BLUE + k] = exposure * (blue if hit else dim * (hb + zb * high))
 
 
 @kernel
@@ -305,21 +338,27 @@ def _encode(f):  # type: ignore[no-untyped-def]
 def _bounds(f, n, low, high):  # type: ignore[no-untyped-def]
     """Box around the tile's points that are on a surface, into low and high, both (3,)."""
     for a in range(3):
-        least, most = _HUGE, -_HUGE
-        for k in range(AREA):
-            value = f[PX + a * AREA + k]
-            hit = n[ID + k] >= 0
-            least = min(least, value if hit else _HUGE)
-            most = max(most, value if hit else -_HUGE)
-        low[a], high[a] = least, most
+        for lane in range(TILE):  # rows of lanes first: a running minimum over all pixels would not vectorise
+            f[LANES + lane], f[LANES + TILE + lane] = _HUGE, -_HUGE
+        for row in range(TILE):
+            for lane in range(TILE):
+                value = f[PX + a * AREA + row * TILE + lane]
+                hit = n[ID + row * TILE + lane] >= 0
+                small, large = value if hit else _HUGE, value if hit else -_HUGE
+                least, most = f[LANES + lane], f[LANES + TILE + lane]
+                f[LANES + lane] = small if small < least else least
+                f[LANES + TILE + lane] = large if large > most else most
+        low[a], high[a] = f[LANES], f[LANES + TILE]
+        for lane in range(1, TILE):
+            low[a], high[a] = min(low[a], f[LANES + lane]), max(high[a], f[LANES + TILE + lane])
 
 
 @kernel
-def _brightest(f):  # type: ignore[no-untyped-def]
-    most = _ZERO
+def _is_dark(f):  # type: ignore[no-untyped-def]
+    total = _ZERO
     for k in range(AREA):
-        most = max(most, f[LIT + k])
-    return most
+        total += f[LIT + k]
+    return total == _ZERO
 
 
 @kernel
@@ -373,7 +412,7 @@ def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: igno
 @kernel
 def shade_rows(  # type: ignore[no-untyped-def]
     rows, rx, ry, kinds, sizes, m, o, rotations, centres, shifts, looks, low, high, solid_side,
-    texels, offsets, look_base, look_density, look_gain, look_gloss, light, side, pose, pixel_slope, depth, ids, rgb,
+    texels, look_base, look_values, light, side, pose, pixel_slope, depth, ids, rgb,
 ):  # fmt: skip
     """Colour whole rows of tiles.
 
@@ -387,9 +426,8 @@ def shade_rows(  # type: ignore[no-untyped-def]
         low, high: (n, 3) float32 world bounding boxes.
         solid_side: (n, 4) float32 low, high along the two directions in side.
         texels: (textures * MIP_TEXELS,) int32, red | green << 8 | blue << 16, each 255 times the root of linear.
-        offsets: (MIP_LEVELS,) int32 start of each level in a texture.
-        look_base, look_density: (looks,) int32 first texel, float32 texels of the finest level per metre.
-        look_gain: (looks * 3,) float32; look_gloss: (looks * 2,) float32 strength and shininess.
+        look_base: (looks,) int32 first texel of each look's texture.
+        look_values: (looks, NUM_LOOK) float32; gains are per squared texel value.
         light: (NUM_SETTINGS,) float32.
         side: (2, 3) float32 unit vectors across the light's direction.
         pose: (12,) float32 camera_to_world, row by row.
@@ -413,16 +451,18 @@ def shade_rows(  # type: ignore[no-untyped-def]
             for j in range(found):
                 i = present[j]
                 if kinds[i] == BOX:
-                    _box_surface(
-                        f, n, m[i], o[i], sizes[i], rotations[i], shifts[i], looks[i, 0], looks[i, 1], np.int32(i)
-                    )
+                    _box_surface(f, n, m[i], o[i], sizes[i], rotations[i], shifts[i], np.int32(i))
                 else:
-                    _round_surface(f, n, m[i], o[i], sizes[i], rotations[i], kinds[i], looks[i, 1], np.int32(i))
+                    _round_surface(f, n, m[i], o[i], sizes[i], rotations[i], kinds[i], np.int32(i))
+                up, other = looks[i, 0], looks[i, 1]
+                _apply_look(f, n, look_base[up], look_values[up], look_base[other], look_values[other], np.int32(i))
             if found > 0:
                 _towards_light(f, n, light)
                 _bounds(f, n, tile_low, tile_high)
-                _albedo(f, n, texels, offsets, look_base, look_density, look_gain, pixel_slope)
-                dark = light[SHADOWS] == _ZERO or _brightest(f) == _ZERO
+                _find_texels(f, n, pixel_slope)
+                _fetch_texels(n, texels)
+                _blend_texels(f, n)
+                dark = light[SHADOWS] == _ZERO or _is_dark(f)
                 for i in range(count):
                     near = True
                     for a in range(3):
@@ -435,7 +475,7 @@ def shade_rows(  # type: ignore[no-untyped-def]
                             _shade_by_box(f, rotations[i], centres[i], sizes[i], longest)
                         else:
                             _shade_by_round(f, rotations[i], centres[i], sizes[i], kinds[i], longest)
-            _radiance(f, n, light, pose, look_gloss)
+            _radiance(f, n, light, pose)
             _encode(f)
             for v in range(v0, min(v0 + TILE, height)):
                 for u in range(u0, min(u0 + TILE, width)):
