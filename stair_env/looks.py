@@ -17,7 +17,7 @@ from stair_env.surroundings import Enclosure, SurroundingsSpec
 SPECIMENS = 16  # of each material: few enough for the texture cache to help, tints make the rest of the variety
 SAME_MATERIAL_SHARE = 0.5  # riser like tread: seen from above the edge then hardly shows
 STRIP_SHARE = 0.3
-PALETTE_SIZE = 8
+PALETTE = ("painted", "wood", "painted", "wood", "metal", "concrete", "carpet", "carpet")  # of the distractors
 OVERCAST_SHARE = 0.35  # of the days outdoors
 GLARE_SHARE = 0.1
 
@@ -28,6 +28,18 @@ INDOOR_FLOORS = ("wood", "tile", "terrazzo", "concrete", "carpet")
 OUTDOOR_FLOORS = ("concrete", "concrete", "tile", "brick")
 INDOOR_WALLS = ("painted", "painted", "painted", "painted", "brick", "concrete", "wood")
 OUTDOOR_WALLS = ("brick", "brick", "concrete", "painted")
+MEAN_ALBEDO = {  # linear, over the first 16 specimens
+    "concrete": 0.28,
+    "terrazzo": 0.26,
+    "wood": 0.23,
+    "tile": 0.35,
+    "brick": 0.15,
+    "metal": 0.23,
+    "carpet": 0.13,
+    "painted": 0.82,
+}
+MIDDLE_ALBEDO = 0.28
+EXPOSURE_FOLLOWING = 0.6  # exponent: 1 would make every picture equally bright
 STRIP_COLOURS: tuple[Vector3, ...] = (
     (0.75, 0.48, 0.02),  # yellow
     (0.02, 0.02, 0.02),  # black rubber
@@ -46,7 +58,7 @@ def _paint(rng: np.random.Generator, strong: float) -> Vector3:
     """Linear colour of a paint; `strong` is how often it is a vivid one."""
     if rng.random() < strong:
         red, green, blue = colorsys.hsv_to_rgb(
-            float(rng.random()), float(rng.uniform(0.35, 0.75)), float(rng.uniform(0.25, 0.7))
+            float(rng.random()), float(rng.uniform(0.25, 0.6)), float(rng.uniform(0.3, 0.75))
         )
     else:
         warm = float(rng.normal(0.0, 0.05))
@@ -55,8 +67,17 @@ def _paint(rng: np.random.Generator, strong: float) -> Vector3:
     return (min(red, 1.0) ** 1.4, min(green, 1.0) ** 1.4, min(blue, 1.0) ** 1.4)
 
 
-def draw_look(rng: np.random.Generator, materials: tuple[str, ...], strong_paint: float = 0.2) -> SurfaceLook:
-    """A specimen of one of the materials, a little lighter or darker than the next."""
+def draw_look(
+    rng: np.random.Generator, materials: tuple[str, ...], strong_paint: float = 0.2, patterned: float = 0.5
+) -> SurfaceLook:
+    """A specimen of one of the materials, a little lighter or darker than the next.
+
+    Args:
+        rng: the source of all chance.
+        materials: to choose from; one named twice is chosen twice as often.
+        strong_paint: how often a paint is a vivid one.
+        patterned: how often boards stand for a slab of wood, chequer plate for sheet metal and so on.
+    """
     material = _choice(rng, materials)
     if material == "painted":
         tint = _paint(rng, strong_paint)
@@ -65,7 +86,7 @@ def draw_look(rng: np.random.Generator, materials: tuple[str, ...], strong_paint
         tint = (1.0 + warm, 1.0, 1.0 - warm)
     return SurfaceLook(
         material,
-        seed=int(rng.integers(SPECIMENS)),
+        seed=2 * int(rng.integers(SPECIMENS // 2)) + int(rng.random() < patterned),
         tint=tint,
         brightness=float(rng.uniform(0.75, 1.15)),
         texture_scale=float(rng.uniform(0.8, 1.25)),
@@ -74,7 +95,7 @@ def draw_look(rng: np.random.Generator, materials: tuple[str, ...], strong_paint
 
 def draw_materials(rng: np.random.Generator, indoors: bool, strips: bool = True) -> dict[str, Any]:
     """The surface fields of an AppearanceSpec."""
-    tread = draw_look(rng, INDOOR_TREADS if indoors else OUTDOOR_TREADS)
+    tread = draw_look(rng, INDOOR_TREADS if indoors else OUTDOOR_TREADS, patterned=0.3)
     if rng.random() < SAME_MATERIAL_SHARE:
         riser = tread
     elif rng.random() < 0.3:  # the same stuff, painted or worn to another tone
@@ -82,25 +103,26 @@ def draw_materials(rng: np.random.Generator, indoors: bool, strips: bool = True)
             tread, brightness=float(np.clip(tread.brightness * rng.uniform(0.7, 1.3), 0.4, 1.3))
         )
     else:
-        riser = draw_look(rng, RISERS)
-    floor = tread if rng.random() < 0.3 else draw_look(rng, INDOOR_FLOORS if indoors else OUTDOOR_FLOORS)
+        riser = draw_look(rng, RISERS, patterned=0.2)
+    floor = draw_look(rng, INDOOR_FLOORS if indoors else OUTDOOR_FLOORS, patterned=0.85)
+    if rng.random() < 0.3 and tread.material in INDOOR_FLOORS + OUTDOOR_FLOORS:
+        floor = tread
     strip = None
     if strips and rng.random() < STRIP_SHARE:
         setback = float(rng.uniform(0.008, 0.03)) if rng.random() < 0.4 else 0.0
         strip = NosingStrip(float(rng.uniform(0.02, 0.06)), _choice(rng, STRIP_COLOURS), setback)
-    wall = draw_look(rng, INDOOR_WALLS if indoors else OUTDOOR_WALLS, strong_paint=0.25)
+    wall = draw_look(rng, INDOOR_WALLS if indoors else OUTDOOR_WALLS, strong_paint=0.15)
     return {
         "tread": tread,
         "riser": riser,
         "floor": floor,
         "wall": wall,
         "ceiling": SurfaceLook("painted", seed=int(rng.integers(SPECIMENS)), tint=(0.9, 0.9, 0.88)),
-        "rail": draw_look(rng, ("metal", "metal", "wood", "painted"), strong_paint=0.5),
-        "stringer": tread if rng.random() < 0.4 else draw_look(rng, ("wood", "metal", "painted", "concrete")),
-        "distractors": tuple(
-            draw_look(rng, ("wood", "wood", "painted", "painted", "metal", "concrete", "carpet"), strong_paint=0.6)
-            for _ in range(PALETTE_SIZE)
-        ),
+        "rail": draw_look(rng, ("metal", "metal", "wood", "painted"), strong_paint=0.5, patterned=0.0),
+        "stringer": tread
+        if rng.random() < 0.4
+        else draw_look(rng, ("wood", "metal", "painted", "concrete"), patterned=0.0),
+        "distractors": tuple(draw_look(rng, (material,), strong_paint=0.6, patterned=0.2) for material in PALETTE),
         "nosing_strip": strip,
     }
 
@@ -121,19 +143,40 @@ def _lamp_position(rng: np.random.Generator, room: Enclosure, stairs: StairSpec 
     return (x, y, room.z_top - float(rng.uniform(0.08, 0.4)))
 
 
+def automatic_exposure(materials: dict[str, Any]) -> float:
+    """Factor by which a camera opens up for dark surfaces and closes for light ones, about 1 for middle ones.
+
+    Args:
+        materials: as from `draw_materials`.
+    """
+    looks: list[SurfaceLook] = [materials[name] for name in ("tread", "riser", "floor", "wall")]
+    mean = sum(MEAN_ALBEDO[look.material] * sum(look.gain) / 3 for look in looks) / len(looks)
+    return float((MIDDLE_ALBEDO / max(mean, 0.02)) ** EXPOSURE_FOLLOWING)
+
+
 def draw_light(
     rng: np.random.Generator,
     lighting: Lighting,
     surroundings: SurroundingsSpec,
     room: Enclosure,
     stairs: StairSpec | None,
+    exposure: float = 1.0,
 ) -> dict[str, Any]:
-    """The light fields of an AppearanceSpec."""
+    """The light fields of an AppearanceSpec.
+
+    Args:
+        rng: the source of all chance.
+        lighting: "day" or "night".
+        surroundings: decides where light can come from.
+        room: its walls, metres.
+        stairs: what lamps hang above.
+        exposure: by day, multiplies the drawn exposure; see `automatic_exposure`.
+    """
     if lighting == "night":
         return _night(rng, surroundings, room, stairs)
-    if surroundings.kind == "indoor":
-        return _indoors(rng, surroundings, room, stairs)
-    return _outdoors(rng)
+    fields = _indoors(rng, surroundings, room, stairs) if surroundings.kind == "indoor" else _outdoors(rng)
+    fields["exposure"] *= exposure
+    return fields
 
 
 def _colour_of_light(rng: np.random.Generator, warm_low: float, warm_high: float) -> Vector3:
@@ -157,8 +200,8 @@ def _outdoors(rng: np.random.Generator) -> dict[str, Any]:
         "ambient_level": ambient,
         "ambient_colour": (0.95, 0.97, 1.0) if overcast else (0.8, 0.9, 1.0),
         "shadows": not overcast,
-        "exposure": float(rng.uniform(0.75, 1.2)) / (ambient + 0.6 * sun) * (1.7 if glare else 1.0),
-        "specular_strength": float(rng.uniform(2.0, 4.0)) if glare else float(rng.uniform(0.4, 1.2)),
+        "exposure": float(rng.uniform(0.75, 1.2)) / (ambient + 0.6 * sun) * (1.35 if glare else 1.0),
+        "specular_strength": float(rng.uniform(1.8, 3.0)) if glare else float(rng.uniform(0.4, 1.2)),
         "sky_horizon": (grey, grey, grey) if overcast else (0.72, 0.82, 0.92),
         "sky_zenith": (0.8 * grey, 0.82 * grey, 0.85 * grey) if overcast else (0.2, 0.4, 0.78),
     }
@@ -174,7 +217,7 @@ def _indoors(
         "ambient_level": ambient,
         "ambient_colour": _colour_of_light(rng, -0.2, 0.3),
         "shadows": bool(rng.random() < 0.9),
-        "specular_strength": float(rng.uniform(2.0, 4.0)) if glare else float(rng.uniform(0.4, 1.2)),
+        "specular_strength": float(rng.uniform(1.8, 3.0)) if glare else float(rng.uniform(0.4, 1.2)),
     }
     if surroundings.window != "none":
         side = 1.0 if surroundings.window == "left" else -1.0
@@ -190,7 +233,7 @@ def _indoors(
     fields["lamp_position"] = lamp
     fields["light_colour"] = _colour_of_light(rng, -0.1, 0.7)
     fields["light_intensity"] = min(at_floor * drop * drop, 50.0)
-    fields["exposure"] = float(rng.uniform(0.8, 1.25)) / (ambient + 0.6 * at_floor) * (1.5 if glare else 1.0)
+    fields["exposure"] = float(rng.uniform(0.8, 1.25)) / (ambient + 0.6 * at_floor) * (1.25 if glare else 1.0)
     return fields
 
 
@@ -207,24 +250,24 @@ def _night(
         "exposure": 1.0,
     }
     kind = rng.random()
-    if kind < 0.55:  # one lamp, weak or far
+    if kind < 0.6:  # one lamp, weak or far
         lamp = _lamp_position(rng, room, stairs)
         if surroundings.kind != "indoor":
             lamp = (lamp[0] + float(rng.normal(0.0, 2.0)), lamp[1] + float(rng.normal(0.0, 2.0)), room.z_top + 0.5)
         drop = lamp[2] - room.z_back / 2
         fields["lamp_position"] = lamp
-        fields["light_intensity"] = min(10 ** float(rng.uniform(-1.6, -0.35)) * drop * drop, 50.0)
+        fields["light_intensity"] = min(10 ** float(rng.uniform(-1.4, -0.25)) * drop * drop, 50.0)
         fields["light_colour"] = _colour_of_light(rng, 0.1, 1.0)
-        fields["ambient_level"] = 10 ** float(rng.uniform(-2.5, -1.5))
-    elif kind < 0.8:  # moon or street light through the clouds
+        fields["ambient_level"] = 10 ** float(rng.uniform(-2.2, -1.3))
+    elif kind < 0.87:  # moon or street light through the clouds
         fields["light_direction"] = _direction(
             float(rng.uniform(-math.pi, math.pi)), math.radians(float(rng.uniform(25, 70)))
         )
-        fields["light_intensity"] = 10 ** float(rng.uniform(-2.0, -1.0))
+        fields["light_intensity"] = 10 ** float(rng.uniform(-1.8, -0.9))
         fields["light_colour"] = _colour_of_light(rng, -0.6, 0.0)
-        fields["ambient_level"] = 10 ** float(rng.uniform(-2.2, -1.3))
+        fields["ambient_level"] = 10 ** float(rng.uniform(-1.9, -1.2))
     else:  # next to nothing
         fields["light_intensity"] = 0.0
         fields["shadows"] = False
-        fields["ambient_level"] = 10 ** float(rng.uniform(-4.0, -1.8))
+        fields["ambient_level"] = 10 ** float(rng.uniform(-3.0, -1.7))
     return fields

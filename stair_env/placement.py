@@ -12,6 +12,7 @@ from stair_env.surroundings import Enclosure, SurroundingsSpec
 
 CORRIDOR_MARGIN_M = 0.25  # solid things keep this far from where a robot walks
 BESIDE_ROOM_M = 0.5  # least width beside the flight for something to stand there
+SOLID_LOOKS, MAT_LOOKS = (0, 6), (6, 8)  # half-open ranges of the palette, see `stair_env.looks`
 WALL_KINDS = ("shelf", "blinds", "bench", "boxes")
 BESIDE_KINDS = ("fence", "fence", "column", "boxes", "planks", "bench", "shelf")
 FLAT_IN_WAY = ("crosswalk", "floor_stripes", "tile_seams", "mat")
@@ -64,7 +65,7 @@ def _make(
         size,
         count,
         seed=int(rng.integers(2**31)),
-        look=int(rng.integers(8)),
+        look=int(rng.integers(*(MAT_LOOKS if kind == "mat" else SOLID_LOOKS))),
     )
 
 
@@ -86,9 +87,9 @@ def draw_distractors(
     Solid ones keep clear of the flight, of the way to it and of the way on; painted ones may lie in the way, but not
     on the flight. Without stairs they stand in the middle of the view.
     """
-    count = int(rng.integers(1, most + 1))
     if stairs is None:
-        return _for_negative(rng, room, count)
+        return _for_negative(rng, room, int(rng.integers(2, most + 2)))
+    count = int(rng.integers(1, most + 1))
     found: list[DistractorSpec] = []
     for _ in range(count):
         where = rng.random()
@@ -152,14 +153,14 @@ def _beside(rng: np.random.Generator, stairs: StairSpec, room: Enclosure) -> Dis
 def _for_negative(rng: np.random.Generator, room: Enclosure, count: int) -> tuple[DistractorSpec, ...]:
     """Spread along the view, the nearest first, each further off than the one before."""
     found: list[DistractorSpec] = []
-    x = float(rng.uniform(-0.6, 0.2))
+    x = float(rng.uniform(-0.6, 0.0))
     for _ in range(count):
         kind = NEGATIVE_KINDS[int(rng.integers(len(NEGATIVE_KINDS)))]
         made = _make(rng, kind, (0.0, 0.0, 0.0), 0.15)
         reach = _radius(made) if kind == "boxes" else made.size[0] / 2 + 0.15 + (0.9 if kind == "ramp" else 0.0)
+        if x + 2 * reach > room.x_high:
+            continue
         x += reach
-        if x + reach > room.x_high:
-            break
         position = (x, float(np.clip(rng.normal(0.0, 0.3), -0.8, 0.8)), 0.0)
         found.append(DistractorSpec(made.kind, position, made.yaw_rad, made.size, made.count, made.seed, made.look))
         x += reach

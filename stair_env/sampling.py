@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from stair_env.appearance import LIGHTINGS, AppearanceSpec, Lighting
-from stair_env.looks import draw_light, draw_materials
+from stair_env.looks import automatic_exposure, draw_light, draw_materials
 from stair_env.placement import draw_distractors
 from stair_env.scene_spec import Scene, SceneSpec
 from stair_env.stairs import (
@@ -112,7 +112,7 @@ class SceneSampler:
         room = enclosure(around, stairs)
         lighting: Lighting = self._sample_lighting(rng)
         look = draw_materials(rng, around.kind == "indoor", strips=self.details)
-        light = draw_light(rng, lighting, around, room, stairs)
+        light = draw_light(rng, lighting, around, room, stairs, automatic_exposure(look))
         wanted = stairs is None or (self.distractors and rng.random() < 0.7)
         things = draw_distractors(rng, stairs, around, room) if wanted else ()
         return SceneSpec(stairs, AppearanceSpec(**look, **light), things, around)

@@ -17,6 +17,8 @@ SURROUNDINGS_KINDS: tuple[str, ...] = ("plain", "indoor", "outdoor")
 WINDOW_SIDES: tuple[str, ...] = ("none", "left", "right")
 PLAIN_DEPTH_M = 8.0  # of the upper floor when no wall ends it
 SKIRTING_HEIGHT_M = 0.08
+FAR_GROUND_M = 50.0
+FAR_GROUND_DROP_M = 0.002
 NEGATIVE_FLOOR_X_M = (-9.0, 9.0)  # floor of a scene without stairs
 NEGATIVE_FLOOR_HALF_Y_M = 7.0
 
@@ -102,6 +104,8 @@ def build_surroundings(spec: SurroundingsSpec, stairs: StairSpec | None) -> tupl
         shapes.append(box_between((x_low, -half, -0.5), (x_high, half, 0.0), "floor"))
     elif stairs.direction == "up":
         shapes.append(_upper_floor(spec, stairs, room))
+    if spec.kind != "indoor":
+        shapes.append(_far_ground())
     if spec.kind == "plain":
         return tuple(shapes)
     shapes.extend(_back_wall(room))
@@ -130,6 +134,12 @@ def _upper_floor(spec: SurroundingsSpec, stairs: StairSpec, room: Enclosure) -> 
     half = stairs.flight_width / 2
     right, left = (-half, half) if spec.kind == "plain" else (room.y_right, room.y_left)
     return box_between((start, right, 0.0), (end, left, room.z_back), "floor")
+
+
+def _far_ground() -> Shape:
+    """Ground as far as the eye reaches, a hair's breadth below the floor that the stairs bring along."""
+    far, top = FAR_GROUND_M, -FAR_GROUND_DROP_M
+    return box_between((-far, -far, top - 0.5), (far, far, top), "floor")
 
 
 def _back_wall(room: Enclosure) -> list[Shape]:
@@ -189,7 +199,7 @@ def _panels(spec: SurroundingsSpec, room: Enclosure) -> list[Shape]:
         half = 0.45 if door else float(rng.uniform(0.2, 0.5))
         low = room.z_back + (0.0 if door else float(rng.uniform(0.7, 1.1)))
         high = min(low + (2.0 if door else float(rng.uniform(0.5, 1.1))), room.z_top - 0.1)
-        look = int(rng.integers(0, 8))
+        look = int(rng.integers(0, 3))  # painted or wooden, as palettes begin
         face, frame = f"distractor:panel:{look}", f"distractor:frame:{look + 1}"
         x = room.x_high
         shapes.append(box_between((x - 0.03, middle - half - 0.06, low), (x, middle + half + 0.06, high + 0.06), frame))

@@ -160,7 +160,7 @@ CONCRETES: tuple[Colour, ...] = (
 STAIN = np.array([0.84, 0.81, 0.77], np.float32)
 
 
-def _concrete(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _concrete(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     base = _pick(rng, CONCRETES)
     cloud = noise(rng, 1, 24, 1.1)
     stain = noise(rng, 1, 40, 1.4)
@@ -172,7 +172,7 @@ def _concrete(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     return image, Finish(0.9, 0.04, 8.0, 0.03)
 
 
-def _terrazzo(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _terrazzo(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     base = _pick(
         rng, ((0.78, 0.76, 0.72), (0.60, 0.59, 0.57), (0.36, 0.36, 0.37), (0.70, 0.62, 0.55), (0.55, 0.60, 0.57))
     )
@@ -193,8 +193,8 @@ def _terrazzo(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     image = np.ascontiguousarray(image, np.float32)
     _paint_chips(rng, image, chosen, 420, (0.8, 2.2))
     _paint_chips(rng, image, chosen, int(150 + 90 * coarse), (2.0, 5.0))
-    _paint_chips(rng, image, chosen, int(40 * coarse), (5.0, 11.0))
-    return image * (1 + 0.012 * noise(rng, 1, 30, 0.8))[..., None], Finish(0.6, 0.35, 60.0, 0.15)
+    _paint_chips(rng, image, chosen, int(40 * coarse), (5.0, 9.0))
+    return image * (1 + 0.012 * noise(rng, 1, 30, 0.8))[..., None], Finish(0.4, 0.35, 60.0, 0.15)
 
 
 WOODS: tuple[tuple[Colour, Colour], ...] = (  # light and dark part of the grain
@@ -207,15 +207,15 @@ WOODS: tuple[tuple[Colour, Colour], ...] = (  # light and dark part of the grain
 )
 
 
-def _wood(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _wood(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     light, dark = WOODS[int(rng.integers(len(WOODS)))]
-    boards = int(rng.choice([1, 4, 6, 8]))
+    boards = int(rng.choice([4, 6, 8])) if patterned else 1
     rows, _ = _grid()
     board = np.minimum((rows * boards).astype(np.int32), boards - 1)
     slow = noise(rng, 0.9, 10, 1.6, stretch=6.0)
     rings = np.sin(2 * np.pi * (int(rng.integers(5, 11)) * rows) + 2.4 * slow)
     fibre = noise(rng, 24, 200, 0.4, stretch=22.0)
-    pores = noise(rng, 60, 256, 0.0, stretch=14.0)
+    pores = noise(rng, 70, 400, 0.0, stretch=24.0)
     weight = 0.45 + 0.22 * rings + 0.13 * fibre + 0.1 * slow
     if boards > 1:  # each board was cut from another place
         shift = rng.integers(0, TEXTURE_SIZE_PX, boards)
@@ -223,7 +223,7 @@ def _wood(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
         weight = np.take_along_axis(weight, columns, axis=1)
     tone = rng.normal(1.0, 0.07, boards).astype(np.float32)[board]
     image = _mix(light, dark, weight) * tone[..., None]
-    image = _mix(image, image * 0.6, _step(1.5, pores, 0.8) * 0.6)
+    image = _mix(image, image * 0.7, _step(1.6, pores, 1.2) * 0.5)
     if boards > 1:
         image *= _seams(rows, boards, 0.006)[..., None]
         image *= _butt_joints(rng, board, boards)[..., None]
@@ -244,7 +244,7 @@ def _butt_joints(rng: np.random.Generator, board: np.ndarray, boards: int) -> np
     return _seams((columns + rng.random(boards).astype(np.float32)[board]) % 1.0, 1, 0.006)
 
 
-def _tile(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _tile(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     count = int(rng.choice([2, 3, 4, 6]))
     edge_m = {2: 0.45, 3: 0.3, 4: 0.2, 6: 0.1}[count]
     rows, columns = _grid()
@@ -259,7 +259,7 @@ def _tile(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
             (0.52, 0.56, 0.55),
         ),
     )
-    other = base * 0.55 if rng.random() < 0.2 else base  # now and then a chequerboard
+    other = base * 0.55 if patterned and rng.random() < 0.5 else base  # a chequerboard
     cell_row, cell_column = (rows * count).astype(np.int32), (columns * count).astype(np.int32)
     odd = ((cell_row + cell_column) % 2).astype(np.float32) if count % 2 == 0 else np.zeros_like(rows)
     image = _mix(base, other, odd)
@@ -277,7 +277,7 @@ def _tile(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     return image, Finish(edge_m * count, float(rng.uniform(0.15, 0.5)), 70.0, 0.2)
 
 
-def _brick(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _brick(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     courses, bricks = 8, 3  # of 240 x 71 mm with 10 mm joints: 0.75 m wide, 0.6 m high, close to square
     rows, columns = _grid()
     course = (rows * courses).astype(np.int32)
@@ -300,11 +300,11 @@ def _brick(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     return _mix(mortar_image, image, _step(0.005, distance, 0.004)), Finish(0.7, 0.02, 6.0, 0.02)
 
 
-def _metal(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _metal(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     base = _pick(rng, ((0.62, 0.63, 0.65), (0.50, 0.52, 0.54), (0.35, 0.37, 0.39), (0.68, 0.66, 0.62)))
     brushed = noise(rng, 10, 300, 0.2, stretch=30.0)
     image = base * (1 + 0.035 * brushed + 0.03 * noise(rng, 1, 6, 1.0))[..., None]
-    if rng.random() < 0.5:  # chequer plate: lens-shaped studs, alternately along both diagonals
+    if patterned:  # chequer plate: lens-shaped studs, alternately along both diagonals
         image = image * _chequer_plate(8)[..., None]
     rust = float(rng.uniform(0.0, 0.7)) * (rng.random() < 0.3)
     spots = _step(1.6, noise(rng, 1, 60, 1.1), 0.8)
@@ -324,27 +324,30 @@ def _chequer_plate(count: int) -> np.ndarray:
     return shaded
 
 
-def _carpet(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
-    base = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.08, 0.5, 0), (0.22, 0.6, 0)), np.float32)
+ACCENTS: tuple[Colour, ...] = ((0.05, 0.05, 0.06), (0.10, 0.07, 0.02), (0.02, 0.05, 0.10), (0.10, 0.02, 0.02))
+
+
+def _carpet(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
+    base = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.05, 0.42, 0), (0.25, 0.55, 0)), np.float32)
     pile = noise(rng, 40, 128, 0.1)
     loops = noise(rng, 60, 100, 0.0)
     image = base * (1 + 0.13 * pile + 0.07 * loops + 0.03 * noise(rng, 1, 10, 1.0))[..., None]
     rows, columns = _grid()
-    style = rng.random()
-    accent = np.asarray(_hsv(rng, (0.0, 1.0, 0), (0.08, 0.45, 0), (0.3, 0.75, 0)), np.float32)
+    accent = base * float(rng.uniform(0.45, 0.75) if base.max() > 0.4 else rng.uniform(1.4, 2.0)) + _pick(rng, ACCENTS)
     accent_image = accent * (1 + 0.14 * pile)[..., None]
-    if style < 0.2:  # stripes
+    style = int(rng.integers(3)) if patterned else -1
+    if style == 0:  # stripes
         image = _mix(image, accent_image, _step(0.75, np.cos(2 * np.pi * 4 * columns), 0.15))
-    elif style < 0.4:  # dots
+    elif style == 1:  # dots
         image = _mix(
             image, accent_image, _step(0.62, np.cos(2 * np.pi * 5 * columns) * np.cos(2 * np.pi * 5 * rows), 0.15)
         )
-    elif style < 0.6:  # flecks
+    elif style == 2:  # flecks
         image = _mix(image, accent_image, _step(1.3, noise(rng, 20, 90, 0.2), 0.4) * 0.8)
     return image, Finish(0.5, 0.0, 4.0, 0.05)
 
 
-def _painted(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
+def _painted(rng: np.random.Generator, patterned: bool) -> tuple[np.ndarray, Finish]:
     """Near white, so that a tint decides the colour."""
     roller = noise(rng, 30, 128, 0.2)
     image = np.array([0.92, 0.92, 0.91], np.float32) * (1 + 0.012 * roller + 0.012 * noise(rng, 1, 8, 1.0))[..., None]
@@ -352,7 +355,7 @@ def _painted(rng: np.random.Generator) -> tuple[np.ndarray, Finish]:
     return _mix(image, image * 0.72, scuff), Finish(1.2, float(rng.uniform(0.02, 0.2)), 20.0, 0.3)
 
 
-PAINTERS: dict[str, Callable[[np.random.Generator], tuple[np.ndarray, Finish]]] = {
+PAINTERS: dict[str, Callable[[np.random.Generator, bool], tuple[np.ndarray, Finish]]] = {
     "concrete": _concrete,
     "terrazzo": _terrazzo,
     "wood": _wood,
@@ -371,14 +374,15 @@ def make_texture(material: str, seed: int) -> Texture:
 
     Args:
         material: one of MATERIALS.
-        seed: which specimen, 0 or more.
+        seed: which specimen, 0 or more. Odd ones are patterned where the material knows patterns: floor boards instead
+            of one slab of wood, chequer plate, chequered tiles, striped carpet.
 
     Raises:
         SpecError: no such material.
     """
     check_choice("material", material, MATERIALS)
     rng = np.random.default_rng([MATERIALS.index(material), seed])
-    image, finish = PAINTERS[material](rng)
+    image, finish = PAINTERS[material](rng, seed % 2 == 1)
     albedo = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     albedo.setflags(write=False)
     return Texture(albedo, *finish)

@@ -25,8 +25,9 @@ CLEARANCE_M = 0.12  # between the lens and any solid
 HALF_FOV = (math.tan(math.radians(69.0 / 2)), math.tan(math.radians(42.0 / 2)))  # D435i colour, data sheet
 VIEW_RANGE_M = (0.2, 4.0)
 VISIBLE_SHARE = 0.25  # of a line's samples that must be in view for it to count
-EASY_SHARE = 0.95  # of the viewpoints from which at least two lines must be in view
-MAX_TRIES = 200
+WANTED_LINES = (0, 2, 4)  # that must be in view ...
+WANTED_SHARES = (0.05, 0.4, 0.55)  # ... from these shares of the viewpoints
+MAX_TRIES = 60
 
 # Columns are the camera's x (right), y (down) and z (forward) in a body frame of x forward, y left, z up.
 _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -67,7 +68,7 @@ def sample_camera_pose(
         its lines are in view; when no such place is found, the best one.
     """
     built = scene if scene is not None else Scene(scene_spec)
-    wanted = 2 if scene_spec.stairs is not None and rng.random() < EASY_SHARE else 0
+    wanted = 0 if scene_spec.stairs is None else int(rng.choice(WANTED_LINES, p=WANTED_SHARES))
     on_robot = rng.random() < robot_share
     best, best_count = None, -1
     for _ in range(MAX_TRIES):
@@ -107,16 +108,22 @@ def _draw_pose(stairs: StairSpec | None, on_robot: bool, rng: np.random.Generato
 def _standing_place(stairs: StairSpec | None, rng: np.random.Generator) -> tuple[float, float, float]:
     """(x of the lens, height of the ground under the robot's middle, slope there in radians, positive upwards)."""
     if stairs is None:
-        return -float(rng.uniform(*DISTANCE_M)), 0.0, 0.0
+        return -_distance(rng), 0.0, 0.0
     profile = stairs.profile()
     if stairs.num_steps < 3 or rng.random() < 0.55:
-        x = -float(DISTANCE_M[0] + (DISTANCE_M[1] - DISTANCE_M[0]) * rng.beta(1.1, 1.8))
+        x = -_distance(rng)
     else:
         x = float(rng.uniform(0.0, 1.0)) * float(profile.edge_x[-2])
     feet = x - ROBOT_CAMERA_FORWARD_M + np.array([-0.25, 0.25])  # hind and fore feet of the robot that carries the lens
     heights = _slope_line(profile, feet)
     slope = math.atan2(float(heights[1] - heights[0]), 0.5)
     return x, float(heights.mean()), slope
+
+
+def _distance(rng: np.random.Generator) -> float:
+    """From the first edge back to the lens, metres, more often near than far."""
+    near, far = DISTANCE_M
+    return near + (far - near) * float(rng.beta(1.0, 2.2))
 
 
 def _slope_line(profile: StairProfile, x: np.ndarray) -> np.ndarray:
