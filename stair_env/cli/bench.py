@@ -1,0 +1,37 @@
+"""`stair-env bench`: ratios, each pair timed in the same run, interleaved."""
+
+from __future__ import annotations
+
+import argparse
+
+from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
+
+NAMES = ("env-step", "camera-frame", "worker-memory")
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Declare the options."""
+    parser = subparsers.add_parser(
+        "bench",
+        help="time and memory ratios, each pair measured in one run",
+        description="Measure pairs in turn. A ratio is theirs over ours: above 1, ours is faster or smaller.",
+    )
+    parser.add_argument("--rounds", type=positive_int, default=15, help="pairs to measure (%(default)s)")
+    parser.add_argument(
+        "--only", type=choice_list(NAMES), default=NAMES, metavar="LIST", help=f"of {', '.join(NAMES)} (all)"
+    )
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print a table."""
+    from stair_env.cli.bench_rows import ROWS
+
+    rows = [ROWS[name](args.rounds) for name in progress(args.only, description="bench")]
+    print(f"{'':<58}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
+    for row in rows:
+        wanted = "" if row.target is None else f">={row.target:g}"
+        print(f"{row.name:<58}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
+    if args.json:
+        write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
+    return 0

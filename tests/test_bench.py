@@ -1,0 +1,47 @@
+"""What `stair-env bench` compares is the same work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+from stair_env.cli import bench, bench_rows
+from stair_env.env import StairClimbEnv
+
+
+def test_names_are_the_rows() -> None:
+    assert set(bench.NAMES) == set(bench_rows.ROWS)
+
+
+def test_replayed_calls_lead_to_the_same_place() -> None:
+    env = StairClimbEnv()
+    env.reset(seed=0)
+    assert env._sim is not None
+    recorder = bench_rows.RecordingClient(env._sim.client)
+    env._sim.client = recorder
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(np.zeros(env.action_space.shape or (), np.float32))
+    expected = recorder._wrapped.getBasePositionAndOrientation(env._sim.body)
+    bare = pybullet.connect(pybullet.DIRECT)
+    try:
+        for function, args, kwargs in bench_rows._bind(recorder.calls, bare):
+            function(*args, **kwargs)
+        assert pybullet.getBasePositionAndOrientation(env._sim.body, physicsClientId=bare) == expected
+    finally:
+        pybullet.disconnect(bare)
+        env.close()
+
+
+@pytest.mark.parametrize("eye", [(-0.9, 0.0, 0.5), (0.3, -0.4, 1.0)])
+def test_both_cameras_look_the_same_way(eye: tuple[float, float, float]) -> None:
+    from stair_env.camera.renderers.base import look_at
+
+    pose = look_at(eye, (0.5, 0.0, 0.3))
+    ours = bench_rows._opengl_view(pose)
+    assert ours == pytest.approx(pybullet.computeViewMatrix(eye, (0.5, 0.0, 0.3), (0, 0, 1)), abs=1e-6)
+
+
+def test_worker_memory_is_measured_in_a_fresh_process() -> None:
+    assert 10.0 < bench_rows._memory_mb("kept = b'x'") < bench_rows._memory_mb("kept = b'x' * 50_000_000")
