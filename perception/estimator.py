@@ -82,6 +82,11 @@ class StairEstimator:
         self._omega_m = omega_m
         self._gravity_std_rad = gravity_std_rad
 
+    @property
+    def detector(self) -> Detector:
+        """What turns images into the network's tensors; other estimators may share it."""
+        return self._detector
+
     def detect(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The network's answer.
 

@@ -1,0 +1,63 @@
+"""`stair-env measure`: the paper's table 7 on simulated D435i frames."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stair_env.cli.common import add_common_arguments, choice_list, positive_int, write_json
+
+NETWORKS = ("stairnet", "ideal")
+WIDTHS = (0.25, 0.5, 1.0)
+STAIR_NAMES = tuple(f"Stair{number}" for number in range(1, 7))
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "measure", help="errors of step width and height on the paper's six stairs", description=__doc__
+    )
+    parser.add_argument(
+        "--network", choices=NETWORKS, default="stairnet", help="ideal: true lines, the floor of the geometry"
+    )
+    parser.add_argument("--width", type=float, choices=WIDTHS, default=0.5, help="of StairNetV2 (%(default)s)")
+    parser.add_argument(
+        "--poses", type=positive_int, default=50, help="camera poses per staircase, direction and light (%(default)s)"
+    )
+    parser.add_argument("--stairs", type=choice_list(STAIR_NAMES), default=STAIR_NAMES, help="comma-separated (all)")
+    parser.add_argument("--mode", default="640x480", help="D435i colour mode (%(default)s)")
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print the table, write the JSON."""
+    from tqdm import tqdm
+
+    from perception.measure import MeasureConfig, run_measurement
+    from stair_env.paper_stairs import PAPER_STAIRS
+
+    stairs = tuple(stair for stair in PAPER_STAIRS if stair.name in args.stairs)
+    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs)
+    with tqdm(total=config.frames, desc="measure", unit="frame", dynamic_ncols=True) as bar:
+        result = run_measurement(config, args.seed, bar.update)
+    _print_table(result)
+    if args.json is not None:
+        write_json(args.json, result, seed=args.seed)
+    return 0
+
+
+def _print_table(result: dict[str, Any]) -> None:
+    print(f"{'stair':8}{'step':>5}  {'direction':12}{'true':>12}{'measured':>18}{'std':>14}{'n':>6}{'paper fit':>18}")
+    for row in result["rows"]:
+        print(
+            f"{row['stair']:8}{row['step']:>5}  {row['direction']:12}{_pair(row['true_mm'], 0):>12}"
+            f"{_pair(row['measured_mm']):>18}{_pair(row['std_mm']):>14}{row['frames']:>6}{_pair(row['paper_fit_mm']):>18}"
+        )
+    print("\nRoot mean square errors (width, height) in mm over all single frames, and share of steps measured:")
+    for method, cases in result["rmse_mm_by"].items():
+        for case, numbers in cases.items():
+            print(f"  {method:26}{case:20}{_pair(numbers['rmse_mm']):>18}{100 * numbers['coverage']:>8.1f} %")
+
+
+def _pair(values: list[float] | None, digits: int = 1) -> str:
+    return "-" if values is None else f"({values[0]:.{digits}f}, {values[1]:.{digits}f})"
