@@ -161,19 +161,31 @@ def _framed(picture: np.ndarray) -> np.ndarray:
     return np.pad(picture, ((margin, margin), (margin, margin), (0, 0)), constant_values=BACKGROUND)
 
 
+def check_picture_path(path: Path | str) -> str:
+    """Return the file's ending.
+
+    Raises:
+        ValueError: no picture can be written there.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in (".png", ".jpg", ".jpeg"):
+        raise ValueError(f"picture {str(path)!r} must end in .png, .jpg or .jpeg")
+    if Path(path).is_dir():
+        raise ValueError(f"picture {str(path)!r} is a directory")
+    return ending
+
+
 def write_picture(path: Path | str, rgb: np.ndarray) -> None:
     """Write a PNG or JPEG, by the file's ending, whole or not at all.
 
     Raises:
-        ValueError: another ending.
+        ValueError: another ending, or a folder.
     """
     import cv2
 
     from stair_env.provenance import atomic_path
 
-    ending = Path(path).suffix.lower()
-    if ending not in (".png", ".jpg", ".jpeg"):
-        raise ValueError(f"picture {str(path)!r} must end in .png, .jpg or .jpeg")
+    ending = check_picture_path(path)
     done, data = cv2.imencode(ending, np.ascontiguousarray(rgb[..., ::-1]))
     if not done:
         raise ValueError(f"cannot encode a picture of shape {rgb.shape}")

@@ -106,7 +106,7 @@ def draw_materials(rng: np.random.Generator, indoors: bool, strips: bool = True)
         riser = draw_look(rng, RISERS, patterned=0.2)
     floor = draw_look(rng, INDOOR_FLOORS if indoors else OUTDOOR_FLOORS, patterned=0.85)
     if rng.random() < 0.3 and tread.material in INDOOR_FLOORS + OUTDOOR_FLOORS:
-        floor = tread
+        floor = dataclasses.replace(tread, seed=tread.seed | 1) if tread.material == "wood" else tread  # boards
     strip = None
     if strips and rng.random() < STRIP_SHARE:
         setback = float(rng.uniform(0.008, 0.03)) if rng.random() < 0.4 else 0.0

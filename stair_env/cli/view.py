@@ -40,9 +40,10 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from stair_env.camera.intrinsics import D435I_COLOR_MODES
-    from stair_env.contact_sheet import contact_sheet, draw_view, write_picture
+    from stair_env.contact_sheet import check_picture_path, contact_sheet, draw_view, write_picture
     from stair_env.sampling import SceneSampler, SceneSpec
 
+    check_picture_path(args.output)
     sampler = SceneSampler(direction=args.direction, lighting=args.lighting, negatives=args.negatives)
     given = SceneSpec.from_json(args.scene.read_text(encoding="utf-8")) if args.scene else None
     rng = np.random.default_rng(args.seed)

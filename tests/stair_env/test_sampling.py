@@ -158,7 +158,7 @@ def test_rooms_enclose_the_flight():
 def test_a_scene_without_stairs_has_a_floor_and_no_edges():
     scene = Scene(SceneSpec(None))
     assert scene.edges == ()
-    assert [shape.surface for shape in scene.shapes] == ["floor"]
+    assert {shape.surface for shape in scene.shapes} == {"floor"}
 
 
 def test_scene_begins_with_the_stairs_and_ends_with_the_distractors():
