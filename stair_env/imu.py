@@ -63,8 +63,8 @@ class ImuConfig:
     @classmethod
     def ideal(cls) -> ImuConfig:
         """Nothing is wrong but the range."""
-        off = [entry.name for entry in dataclasses.fields(cls) if not entry.name.endswith("_range")]
-        return cls(**dict.fromkeys(off, 0.0))
+        kept = ("noise_scale", "accel_range", "gyro_range")
+        return cls(**{entry.name: 0.0 for entry in dataclasses.fields(cls) if entry.name not in kept})
 
     @classmethod
     def from_dict(cls, values: Any) -> ImuConfig:

@@ -62,7 +62,7 @@ def smear(rgb: np.ndarray, shifts: np.ndarray, total: np.ndarray, out: np.ndarra
         total[:] = 0
         for k in range(count):
             source = rgb[min(max(v + shifts[k, 1], 0), height - 1)]
-            offset = 3 * shifts[k, 0]
+            offset = min(max(3 * shifts[k, 0], -width), width)
             first, last = max(0, -offset), min(width, width - offset)
             shifted = source[first + offset : last + offset]
             part = total[first:last]

@@ -159,6 +159,7 @@ class DepthErrorModel:
     def __init__(self, config: DepthErrorConfig | None = None) -> None:
         self.config = config if config is not None else DepthErrorConfig()
         self._scale_bias = self.config.scale_bias
+        self._spare: list[np.ndarray] = []
 
     @property
     def scale_bias(self) -> float:
@@ -198,13 +199,16 @@ class DepthErrorModel:
         magnification = intrinsics.fx / config.focal_px  # image pixels per pixel of the depth imager
         normal, uniform = _noise_tables(config.window_px * magnification, width)
 
-        disparity, measured = np.empty_like(depth_m), np.empty_like(depth_m)
+        mark = np.empty(-(-width // 8) * 8, np.uint8)
+        buffers = self._borrow_buffers(depth_m.shape)
+        disparity, measured, blurred = buffers
         kernels.to_disparity(depth_m, focal_baseline, disparity)
         right, left = _imager_shifts(config, magnification)
-        kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), measured)
+        kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)
         if config.flying_share > 0.0 or config.edge_jitter_px > 0.0:
             kernels.blur_edges(
                 disparity,
+                measured,
                 max(1, round(config.window_px / 2.0 * magnification)),
                 np.float32(EDGE_JUMP_PX),
                 np.float32(config.edge_jitter_px * magnification),
@@ -212,11 +216,11 @@ class DepthErrorModel:
                 normal,
                 uniform,
                 offsets,
-                np.empty(width, np.uint8),
-                measured,
+                mark,
+                blurred,
             )
-        out = disparity  # its values are not needed any more once the holes are known
-        holes = self._hole_corners(rgb, disparity)
+            measured = blurred
+        out = np.empty_like(depth_m)
         kernels.finish(
             measured,
             depth_m,
@@ -227,14 +231,26 @@ class DepthErrorModel:
             np.float32(config.depth_unit_m),
             np.float32(config.min_range_m),
             np.float32(config.max_range_m),
-            holes,
+            self._hole_corners(rgb, disparity),
             normal,
             uniform,
             offsets,
             np.zeros(width + kernels.CELL_PX, np.float32),
             out,
         )
+        self._spare.append(buffers)
         return out
+
+    def _borrow_buffers(self, shape: tuple[int, ...]) -> np.ndarray:
+        """(3, H, W) float32 scratch; fresh pages of memory cost as much as the arithmetic. Safe between threads."""
+        while self._spare:
+            buffers = self._spare.pop()
+            if buffers.shape[1:] == shape:
+                return buffers
+        return np.empty((3, *shape), np.float32)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_spare": []}
 
     def _hole_corners(self, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
         """Hole probability at the corners of the cells, (h + 1, w + 1) float32."""

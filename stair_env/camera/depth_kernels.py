@@ -37,7 +37,12 @@ def to_disparity(depth_m: np.ndarray, focal_baseline: np.float32, disparity: np.
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hide_shadows(
-    disparity: np.ndarray, shift: np.float32, shift_2: np.float32, wall: np.float32, measured: np.ndarray
+    disparity: np.ndarray,
+    shift: np.float32,
+    shift_2: np.float32,
+    wall: np.float32,
+    mark: np.ndarray,
+    measured: np.ndarray,
 ) -> None:
     """Copy disparity to measured and set to 0 what a camera further to the right cannot see.
 
@@ -49,6 +54,7 @@ def hide_shadows(
         disparity: (H, W) float32 of the scene.
         shift, shift_2: image pixels of displacement per pixel of disparity, for two cameras; 0 leaves one out.
         wall: smallest displacement between neighbours that hides a whole pixel, image pixels.
+        mark: (at least W,) uint8, scratch.
         measured: (H, W) float32, written.
     """
     height, width = disparity.shape
@@ -57,12 +63,24 @@ def hide_shadows(
         row, out = disparity[v], measured[v]
         for u in range(width):
             out[u] = row[u]
-        if strongest <= 0.0:
+        if strongest <= 0.0 or not _mark_walls(row, strongest, wall, mark):
             continue
         for u in range(width - 1):
-            if strongest * (row[u + 1] - row[u]) >= wall:
+            if mark[u] != 0:
                 _shade_strip(row, out, u, shift, wall)
                 _shade_strip(row, out, u, shift_2, wall)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _mark_walls(row: np.ndarray, shift: np.float32, wall: np.float32, mark: np.ndarray) -> bool:
+    """Set mark to 1 left of where disparity rises enough to hide a pixel; whether it does anywhere."""
+    here, there = row[:-1], row[1:]
+    marks = 0
+    for u in range(len(there)):
+        mark[u] = shift * (there[u] - here[u]) >= wall
+    for u in range(len(there)):
+        marks += mark[u]
+    return marks > 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -85,6 +103,7 @@ def _shade_strip(row: np.ndarray, out: np.ndarray, last: int, shift: np.float32,
 @njit(cache=True, nogil=True, error_model="numpy")
 def blur_edges(
     disparity: np.ndarray,
+    measured: np.ndarray,
     reach: int,
     jump: np.float32,
     jitter_px: np.float32,
@@ -93,59 +112,73 @@ def blur_edges(
     uniform: np.ndarray,
     offsets: np.ndarray,
     mark: np.ndarray,
-    measured: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Near depth edges, wander sideways and mix near with far; shadows stay empty.
+    """Make edges wander, those of shadows too, and mix near with far beside them.
 
     A matching window that straddles an edge returns either side or something in between. An edge is where the second
-    difference of disparity over `reach` pixels exceeds `jump`: zero on any plane, whatever its slant.
+    difference of the measured disparity over `reach` pixels exceeds `jump`: zero on any plane, whatever its slant.
 
     Args:
         disparity: (H, W) float32 of the scene.
+        measured: (H, W) float32, 0 in shadows.
         reach: half the matching window, image pixels.
         jump: smallest second difference that counts as an edge, depth-imager pixels.
         jitter_px: standard deviation of the edge's position, image pixels.
-        flying_share: share of edge pixels that become a mixture.
+        flying_share: share of edge pixels that become a mixture; shadows do not.
         normal, uniform: (N, N + W) noise tables.
         offsets: (k,) int64 places in the tables where this frame begins.
-        mark: (W,) uint8, scratch.
-        measured: (H, W) float32, changed in place.
+        mark: (at least W,) uint8, a multiple of 8 long, scratch.
+        out: (H, W) float32, written.
     """
     height, width = disparity.shape
     side = normal.shape[0]
+    mark[:] = 0
+    marks_of_8 = mark.view(np.uint64)  # most of them are all zero, and cheaper to skip together
     for v in range(height):
-        row = disparity[v]
-        above, below = disparity[max(v - reach, 0)], disparity[min(v + reach, height - 1)]
-        _mark_edges(row, above, below, reach, jump, mark)
-        if not mark.any():
+        row, out_row = measured[v], out[v]
+        for u in range(width):
+            out_row[u] = row[u]
+        above, below = measured[max(v - reach, 0)], measured[min(v + reach, height - 1)]
+        if not _mark_edges(row, above, below, reach, jump, mark):
             continue
         shift_u = normal[(v + offsets[0]) % side, offsets[1] :]
         shift_v = normal[(v + offsets[2]) % side, offsets[3] :]
         chance = uniform[(v + offsets[4]) % side, offsets[5] :]
         mixture = uniform[(v + offsets[6]) % side, offsets[7] :]
-        for u in range(width):
-            if mark[u] == 0 or measured[v, u] == _HIDDEN:
+        for eighth in range(len(marks_of_8)):
+            if marks_of_8[eighth] == 0:
                 continue
-            if chance[u] < flying_share:
-                near, far = _extremes(disparity, v, u, reach)
-                measured[v, u] = far + mixture[u] * (near - far)
-            elif jitter_px > 0.0:
-                source_u = min(max(u + int(np.rint(jitter_px * shift_u[u])), 0), width - 1)
-                source_v = min(max(v + int(np.rint(jitter_px * shift_v[u])), 0), height - 1)
-                measured[v, u] = disparity[source_v, source_u]
+            for u in range(8 * eighth, min(8 * eighth + 8, width)):
+                if mark[u] == 0:
+                    continue
+                if chance[u] < flying_share and row[u] != _HIDDEN:
+                    near, far = _extremes(disparity, v, u, reach)
+                    out_row[u] = far + mixture[u] * (near - far)
+                elif jitter_px > 0.0:
+                    source_u = min(max(u + int(np.rint(jitter_px * shift_u[u])), 0), width - 1)
+                    source_v = min(max(v + int(np.rint(jitter_px * shift_v[u])), 0), height - 1)
+                    out_row[u] = measured[source_v, source_u]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _mark_edges(
     row: np.ndarray, above: np.ndarray, below: np.ndarray, reach: int, jump: np.float32, mark: np.ndarray
-) -> None:
-    """Set mark (W,) to 1 where the second difference along or across the row exceeds jump."""
+) -> bool:
+    """Set mark to 1 where the second difference along or across the row exceeds jump; whether it does anywhere."""
     width = len(row)
     two = np.float32(2.0)
     for u in range(width):
         mark[u] = abs(above[u] + below[u] - two * row[u]) > jump
-    for u in range(reach, width - reach):
-        mark[u] |= abs(row[u - reach] + row[u + reach] - two * row[u]) > jump
+    # Slices, because an index that might be negative keeps the compiler from using vector instructions.
+    span = max(width - 2 * reach, 0)
+    left, middle, right, inner = row[:span], row[reach : reach + span], row[2 * reach :], mark[reach : reach + span]
+    for u in range(span):
+        inner[u] |= np.uint8(abs(left[u] + right[u] - two * middle[u]) > jump)
+    marks = 0
+    for u in range(width):
+        marks += mark[u]
+    return marks > 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -181,14 +214,15 @@ def cell_statistics(
             total, contrast, near = np.int64(0), np.int64(0), np.float32(0.0)
             saturated, seen, count = 0, 0, 0
             for v in range(i * CELL_PX, min((i + 1) * CELL_PX, height), 2):
+                green, d = rgb[v, :, 1], disparity[v]
                 for u in range(j * CELL_PX, min((j + 1) * CELL_PX, width), 2):
-                    green = np.int64(rgb[v, u, 1])  # plain int() of a uint8 stays unsigned under numba
-                    total += green
-                    contrast += abs(green - np.int64(rgb[v, min(u + 2, width - 1), 1]))
-                    saturated += int(green >= 250)
+                    value = np.int64(green[u])  # plain arithmetic on uint8 stays unsigned under numba
+                    total += value
+                    contrast += abs(value - np.int64(green[min(u + 2, width - 1)]))
+                    saturated += int(value >= 250)
                     count += 1
-                    near += disparity[v, u]
-                    seen += int(disparity[v, u] > 0.0)
+                    near += d[u]
+                    seen += int(d[u] > 0.0)
             level[i, j] = total / count
             texture[i, j] = contrast / count
             glare[i, j] = saturated / count
