@@ -34,4 +34,4 @@ def make_renderer(name: str, scene: SceneLike, client: Any = None, **options: An
         raise ValueError(f"renderer {name!r} draws the bodies of a PyBullet client: pass client=")
     from stair_env.camera.renderers.bullet import BulletRenderer
 
-    return BulletRenderer(client, hardware=name == "egl", **options)
+    return BulletRenderer(scene, client, hardware=name == "egl", **options)

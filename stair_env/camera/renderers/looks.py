@@ -12,7 +12,7 @@ from stair_env.appearance import AppearanceSpec, SurfaceLook
 from stair_env.camera.renderers import shading
 from stair_env.scene import Shape
 
-MIP_CACHE = 64  # textures kept with their mip levels, 350 kB each
+MIP_CACHE = 128  # textures kept with their mip levels, 350 kB each
 PLAIN_DENSITY = 1e6  # texels per metre of a surface without texture: a pixel covers the whole coarsest level
 
 

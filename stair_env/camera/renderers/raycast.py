@@ -106,14 +106,12 @@ class RaycastRenderer:
         m, o = visibility.to_camera(solids.rotations, solids.centres, pose)
         shape = (intrinsics.height, intrinsics.width)
         depth, ids, rgb = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty((*shape, 3), np.uint8)
-        rx = ((np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx).astype(np.float32)
-        ry = ((np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy).astype(np.float32)
-        rotations = solids.rotations.reshape(-1, 9).astype(np.float32)
-        centres = solids.centres.astype(np.float32)
-        looks = self._table.arrays()
-        row_major_pose = np.ascontiguousarray(pose[:3], dtype=np.float32).ravel()
+        rx, ry = _ray_slopes(intrinsics)
+        rotations, centres = solids.rotations.reshape(-1, 9).astype(np.float32), solids.centres.astype(np.float32)
+        rows_of_pose = pose[:3].astype(np.float32).ravel()
         near, far = np.float32(NEAR_M), np.float32(FAR_M)
         pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
+        looks = self._table.arrays()
 
         def draw(rows: np.ndarray) -> None:
             visibility.trace_rows(
@@ -121,7 +119,8 @@ class RaycastRenderer:
             )  # fmt: skip
             shading.shade_rows(
                 rows, rx, ry, solids.kinds, solids.sizes, m, o, rotations, centres, solids.shifts, solids.looks,
-                solids.low, solids.high, solids.side, looks.texels, looks.base, looks.values, self._light, self._side, row_major_pose, pixel_slope, depth, ids, rgb,
+                solids.low, solids.high, solids.side, looks.texels, looks.base, looks.values,
+                self._light, self._side, rows_of_pose, pixel_slope, depth, ids, rgb,
             )  # fmt: skip
 
         run_rows(draw, -(-intrinsics.height // visibility.TILE), self._threads)
@@ -129,3 +128,10 @@ class RaycastRenderer:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+def _ray_slopes(intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """x / z of each column's rays (W,), and y / z of each row's (H,), float32."""
+    rx = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    ry = (np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+    return rx.astype(np.float32), ry.astype(np.float32)
