@@ -20,6 +20,7 @@ DEPTH_SPAN_M = (0.3, 4.0)
 MARGIN_PX = 4
 BACKGROUND = 24
 LINE_WIDTH_PX = 2
+JPEG_QUALITY = 88
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,8 @@ def write_picture(path: Path | str, rgb: np.ndarray) -> None:
     from stair_env.provenance import atomic_path
 
     ending = check_picture_path(path)
-    done, data = cv2.imencode(ending, np.ascontiguousarray(rgb[..., ::-1]))
+    options = [] if ending == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    done, data = cv2.imencode(ending, np.ascontiguousarray(rgb[..., ::-1]), options)
     if not done:
         raise ValueError(f"cannot encode a picture of shape {rgb.shape}")
     with atomic_path(path) as temporary:

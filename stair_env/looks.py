@@ -224,8 +224,9 @@ def _indoors(
         azimuth = side * math.pi / 2 + float(rng.normal(0.0, 0.4))
         fields["light_direction"] = _direction(azimuth, math.radians(float(rng.uniform(25.0, 55.0))))
         fields["light_colour"] = _colour_of_light(rng, 0.0, 0.5)
-        fields["light_intensity"] = float(rng.uniform(1.0, 2.5))
-        fields["exposure"] = float(rng.uniform(0.8, 1.2)) / (1.5 * ambient)
+        sun = ambient * float(rng.uniform(2.0, 4.5))
+        fields["light_intensity"] = sun
+        fields["exposure"] = float(rng.uniform(0.8, 1.2)) / (ambient + 0.25 * sun) * (1.3 if glare else 1.0)
         return fields
     lamp = _lamp_position(rng, room, stairs)
     drop = lamp[2] - room.z_back / 2  # to about the middle of the flight
