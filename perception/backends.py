@@ -1,0 +1,179 @@
+"""Runs the network on letterboxed frames: ONNX Runtime (fast on CPUs, no torch needed) or torch.
+
+Every back end takes and gives the same numpy arrays, for any batch size, and they agree to 1e-3.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from perception.preprocess import IMAGE_SIZE, colour_input, depth_input
+from perception.weights_io import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
+from stair_env.stairs import check_choice
+
+if TYPE_CHECKING:
+    from perception.network import StairNetV2
+
+BACKENDS = ("onnx", "torch")
+MAX_BATCH = 8  # frames run at once: larger batches only push intermediate results out of the cache
+
+
+class Backend(Protocol):
+    """The network behind numpy."""
+
+    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Detect on a batch.
+
+        Args:
+            rgb: uint8 (B, 512, 512, 3).
+            depth_m: float32 (B, 512, 512), metres, 0 = no reading.
+
+        Returns:
+            cls: float32 (B, 32, 16), probability that the cell holds a line.
+            loc: float32 (B, 32, 16, 8), coordinates within the cell in 0..1.
+
+        Raises:
+            ValueError: a wrong shape or dtype.
+        """
+
+
+class OnnxBackend:
+    """ONNX Runtime on the CPU.
+
+    Args:
+        width: of the shipped weights to load.
+        path: an exported file to load instead.
+        threads: for one frame; None lets the runtime take all cores.
+
+    Raises:
+        WeightsError: the weights are missing or no network of ours.
+    """
+
+    def __init__(self, width: float = 0.25, *, path: str | Path | None = None, threads: int | None = None) -> None:
+        import onnxruntime
+
+        file = Path(path) if path is not None else weights_path(width, "onnx")
+        if not file.is_file():
+            raise WeightsError(f"{file}: no such file")
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = _check_threads(threads) or 0
+        options.inter_op_num_threads = 1
+        # Waiting threads would otherwise spin on cores that the physics and the renderer need.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            self._session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # the runtime's errors share no base class
+            raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
+        names = [entry.name for entry in self._session.get_inputs()]
+        if names != ["rgb", "depth"]:
+            raise WeightsError(f"{file}: has inputs {names}, a StairNetV2 has rgb and depth")
+
+    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Detect on a batch; see `Backend`."""
+        check_batch(rgb, depth_m)
+        if len(rgb) == 0:
+            return empty_answer()
+        answers = [
+            self._session.run(["cls", "loc"], {"rgb": colour_input(rgb[i : i + MAX_BATCH]), "depth": depth_input(depth_m[i : i + MAX_BATCH])})
+            for i in range(0, len(rgb), MAX_BATCH)
+        ]
+        return as_grids(np.concatenate([a[0] for a in answers]), np.concatenate([a[1] for a in answers]))
+
+
+class TorchBackend:
+    """torch with folded batch norm and channels-last memory.
+
+    Args:
+        width: of the shipped weights to load.
+        network: a network to run instead; it is copied.
+        threads: torch's, for the whole process; None leaves them as they are.
+        device: "cpu", "cuda", ...
+
+    Raises:
+        WeightsError: the weights are missing.
+    """
+
+    def __init__(
+        self,
+        width: float = 0.25,
+        *,
+        network: StairNetV2 | None = None,
+        threads: int | None = None,
+        device: str = "cpu",
+    ) -> None:
+        import torch
+
+        from perception.folding import folded
+
+        if _check_threads(threads):
+            torch.set_num_threads(int(threads or 1))
+        source = network if network is not None else load_network(width)
+        dense = device == "cpu" and source.width <= DENSE_UP_TO_WIDTH
+        self._network = folded(source, dense=dense).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._device = device
+
+    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Detect on a batch; see `Backend`."""
+        check_batch(rgb, depth_m)
+        if len(rgb) == 0:
+            return empty_answer()
+        answers = [
+            self._run(rgb[i : i + MAX_BATCH], depth_m[i : i + MAX_BATCH]) for i in range(0, len(rgb), MAX_BATCH)
+        ]
+        return as_grids(np.concatenate([a[0] for a in answers]), np.concatenate([a[1] for a in answers]))
+
+    def _run(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        import torch
+
+        with torch.inference_mode():
+            inputs = (
+                torch.from_numpy(array).to(self._device, memory_format=torch.channels_last)
+                for array in (colour_input(rgb), depth_input(depth_m))
+            )
+            cls, loc = self._network(*inputs)
+            return cls.cpu().numpy(), loc.cpu().numpy()
+
+
+def make_backend(name: str, width: float = 0.25, threads: int | None = None) -> Backend:
+    """A back end over the shipped weights.
+
+    Args:
+        name: "onnx" or "torch".
+        width: 1.0, 0.5 or 0.25.
+        threads: see the classes.
+
+    Raises:
+        SpecError: no such back end (a ValueError).
+        WeightsError: no such weights.
+    """
+    check_choice("backend", name, BACKENDS)
+    return OnnxBackend(width, threads=threads) if name == "onnx" else TorchBackend(width, threads=threads)
+
+
+def as_grids(cls: np.ndarray, loc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(B, 1, 32, 16) and (B, 8, 32, 16) -> (B, 32, 16) and (B, 32, 16, 8), contiguous float32."""
+    grid = np.ascontiguousarray(np.moveaxis(loc, 1, -1), dtype=np.float32)
+    return np.ascontiguousarray(cls[:, 0], dtype=np.float32), grid
+
+
+def empty_answer() -> tuple[np.ndarray, np.ndarray]:
+    """What a batch of no frames gives."""
+    return np.zeros((0, 32, 16), np.float32), np.zeros((0, 32, 16, 8), np.float32)
+
+
+def check_batch(rgb: np.ndarray, depth_m: np.ndarray) -> None:
+    """Raise ValueError unless rgb is uint8 (B, 512, 512, 3) and depth a float (B, 512, 512)."""
+    shape = (IMAGE_SIZE, IMAGE_SIZE)
+    if rgb.ndim != 4 or rgb.shape[1:] != (*shape, 3) or rgb.dtype != np.uint8:
+        raise ValueError(f"rgb is {rgb.dtype} {rgb.shape}, must be uint8 (B, {IMAGE_SIZE}, {IMAGE_SIZE}, 3)")
+    if depth_m.shape != (len(rgb), *shape) or not np.issubdtype(depth_m.dtype, np.floating):
+        raise ValueError(f"depth is {depth_m.dtype} {depth_m.shape}, must be float metres ({len(rgb)}, 512, 512)")
+
+
+def _check_threads(threads: int | None) -> int | None:
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads={threads!r} must be at least 1, or None")
+    return threads

@@ -1,0 +1,47 @@
+"""A copy of the network for inference: batch norm folded into the convolutions before it."""
+
+from __future__ import annotations
+
+import copy
+
+from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from perception.network import Bottleneck, ConvNormAct, GroupedConv3x3, StairNetV2
+
+
+def folded(network: StairNetV2, *, dense: bool = False) -> StairNetV2:
+    """The same function with fewer operations.
+
+    Args:
+        network: left as it is.
+        dense: store grouped convolutions as dense ones, zero between the groups.
+
+    Returns:
+        A network in evaluation mode without batch norm; it can no longer be trained or saved as weights.
+    """
+    network = copy.deepcopy(network).cpu().eval().requires_grad_(False)
+    for module in network.modules():
+        if isinstance(module, ConvNormAct):
+            module[0] = fuse_conv_bn_eval(module[0], module[1])
+            module[1] = nn.Identity()
+        elif isinstance(module, Bottleneck):
+            _fold_bottleneck(module, dense)
+    return network
+
+
+def _fold_bottleneck(block: Bottleneck, dense: bool) -> None:
+    spatial = fuse_conv_bn_eval(_plain(block.spatial, dense), block.spatial_norm)
+    block.spatial, block.spatial_norm = spatial, nn.Identity()  # type: ignore[assignment]
+    block.expand, block.expand_norm = fuse_conv_bn_eval(block.expand, block.expand_norm), nn.Identity()  # type: ignore[assignment]
+    if isinstance(block.shortcut, nn.Sequential):
+        block.shortcut = fuse_conv_bn_eval(block.shortcut[0], block.shortcut[1])
+
+
+def _plain(conv: GroupedConv3x3, dense: bool) -> nn.Conv2d:
+    """The convolution as torch's own module."""
+    groups = 1 if dense else conv.groups
+    d = conv.dilation
+    plain = nn.Conv2d(conv.channels, conv.channels, 3, conv.stride, d, d, groups, bias=False)
+    plain.weight = nn.Parameter((conv.dense_weight() if dense else conv.weight).detach().clone(), requires_grad=False)
+    return plain.eval()
