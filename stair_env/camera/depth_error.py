@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 COLOUR_OFFSET_M = 0.015  # colour imager left of the left infrared imager (data sheet; extrinsics read from devices)
 EDGE_JUMP_PX = 0.5  # disparity step below which a matching window spans an edge without harm
-DARK_FRAME_LEVEL = 12.0  # mean of 0-255 under which brightness says nothing about reflectance
+DARK_FRAME_LEVEL = 12.0  # mean of 0-255 up to which brightness says nothing about reflectance
+LIT_FRAME_LEVEL = 80.0  # and from which it is taken at its word
 DARK_SURFACE_SHARE = 0.25  # of the frame's mean level, under which a surface returns less of the pattern
 FULL_TEXTURE_LEVEL = 6.0  # contrast of 0-255 from which matching needs no pattern
 MAX_DROP_PROBABILITY = 0.97
@@ -49,7 +50,7 @@ class DepthErrorConfig:
         window_px: side of the stereo matcher's window, pixels of the depth imager.
         speckle: share of pixels lost in small blobs everywhere.
         textureless_dropout: probability of a hole where there is neither texture nor pattern.
-        dark_dropout: additional probability on surfaces much darker than the scene.
+        dark_dropout: additional probability on far surfaces much darker than the scene, less on near ones.
         specular_dropout: additional probability on saturated highlights.
         projector_range_m: distance up to which the infrared pattern alone suffices; 0 turns the projector off.
         min_range_m, max_range_m: readings outside are dropped (data sheet: 0.18 m at 848x480, about 10 m).
@@ -274,8 +275,8 @@ def hole_probability(
     """How likely matching fails.
 
     Texture of the surface and the projected pattern each suffice on their own; the pattern fades with the square of
-    the distance and on dark surfaces. In a frame without light brightness says nothing, and the pattern has no
-    competitor. The form and its constants are choices of this project, made by eye: nobody has published them.
+    the distance and on dark surfaces, which is why near ones keep their depth by night. The form and its constants are
+    choices of this project, made by eye: nobody has published them.
 
     Args:
         config: the probabilities and the projector's range.
@@ -287,20 +288,28 @@ def hole_probability(
     Returns:
         Probabilities of the same shape, float32, at most MAX_DROP_PROBABILITY.
     """
-    frame_level = float(level.mean())
-    reflectance = np.ones_like(level)
-    if frame_level > DARK_FRAME_LEVEL:
-        reflectance = np.minimum(level / (DARK_SURFACE_SHARE * frame_level), 1.0)
-    pattern = np.minimum(config.projector_range_m * inverse_depth, 1.0) ** 2 * reflectance
+    reflectance = _reflectance(level)
+    reach = np.minimum(config.projector_range_m * inverse_depth, 1e3)  # the bound keeps its square finite
+    pattern = np.minimum(reflectance * reach**2, 1.0)
     own = np.minimum(texture / FULL_TEXTURE_LEVEL, 1.0)
     unmatched = (1.0 - own) * (1.0 - pattern)
     probability = (
         config.speckle
         + config.textureless_dropout * unmatched**2
-        + config.dark_dropout * (1.0 - reflectance)
+        + config.dark_dropout * (1.0 - reflectance) / np.maximum(reach, 1.0)
         + config.specular_dropout * glare
     )
     return np.minimum(probability, MAX_DROP_PROBABILITY).astype(np.float32)
+
+
+def _reflectance(level: np.ndarray) -> np.ndarray:
+    """Share of the pattern that a surface returns, guessed from its brightness (0-255) among the frame's, 0..1.
+
+    The darker the frame, the more a dark surface is one without light rather than one without reflectance.
+    """
+    frame_level = max(float(level.mean()), 1e-6)
+    trust = min(max((frame_level - DARK_FRAME_LEVEL) / (LIT_FRAME_LEVEL - DARK_FRAME_LEVEL), 0.0), 1.0)
+    return 1.0 - trust * (1.0 - np.minimum(level / (DARK_SURFACE_SHARE * frame_level), 1.0))
 
 
 def depth_rms_m(depth_m: np.ndarray | float, config: DepthErrorConfig) -> np.ndarray:

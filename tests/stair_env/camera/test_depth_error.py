@@ -247,7 +247,9 @@ def test_near_surfaces_survive_a_night_without_light():
 def test_dark_and_shining_surfaces_have_holes():
     rgb = np.full((H, W, 3), 128, np.uint8)
     rgb[:, :200], rgb[:, 400:] = 4, 255
-    lost = apply(only(dark_dropout=0.5, specular_dropout=0.6, projector_range_m=3.5), plane(1.0), rgb) == 0.0
+    model = only(dark_dropout=0.5, specular_dropout=0.6, projector_range_m=3.5)
+    lost, near = apply(model, plane(4.0), rgb) == 0.0, apply(model, plane(1.0), rgb) == 0.0
+    assert 0.02 < near[:, :190].mean() < 0.6 * lost[:, :190].mean()
     assert lost[:, :190].mean() > 0.3 and lost[:, 410:].mean() > 0.4 and lost[:, 210:390].mean() < 0.02
 
 
