@@ -121,7 +121,8 @@ def train(
     from policies.callbacks import CheckpointCallback, CurveCallback, ProgressCallback
 
     folder = Path(folder)
-    _prepare_folder(config, folder, resume)
+    if (folder / CONFIG_FILE).exists() and not resume:
+        raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
     torch.set_num_threads(config.torch_threads)
     hyperparams = config.resolved_hyperparams()
     total = int(hyperparams["n_timesteps"])
@@ -130,6 +131,7 @@ def train(
         config.env_id, int(hyperparams["n_envs"]), config.env_kwargs, seed=config.seed, kind=config.vec_kind
     )
     try:
+        write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
         log_folder = folder / "tensorboard" if config.tensorboard else None
         if saved:
             model = _load_model(config, hyperparams, venv, saved[-1])
@@ -167,12 +169,6 @@ def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
         raise ValueError(f"algorithm={algorithm!r} must be one of {', '.join(ALGORITHMS)}")
     found: type[BaseAlgorithm] = getattr(stable_baselines3, algorithm.upper())
     return found
-
-
-def _prepare_folder(config: TrainingConfig, folder: Path, resume: bool) -> None:
-    if (folder / CONFIG_FILE).exists() and not resume:
-        raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
-    write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)
 
 
 def _split(hyperparams: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:

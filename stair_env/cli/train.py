@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description="Train a policy; checkpoints are written while it runs, and --resume goes on after a kill.",
     )
     parser.add_argument("--output", type=Path, default=Path("runs/train"), help="folder of the run (%(default)s)")
-    parser.add_argument("--resume", action="store_true", help="go on from the newest checkpoint in --output")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the newest checkpoint in --output; of the other options only --timesteps counts then",
+    )
     parser.add_argument("--algo", choices=("ppo", "sac"), default="ppo", help="algorithm (%(default)s)")
     parser.add_argument("--env", default="stair_env/StairClimb-v0", help="environment id (%(default)s)")
     parser.add_argument("--robot", help="robot (the environment's default)")
@@ -53,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
     started = (args.output / training.CONFIG_FILE).exists()
     if args.resume and started:
         config = training.load_config(args.output)
+        if args.timesteps:
+            config = dataclasses.replace(config, total_timesteps=args.timesteps)
         print(f"resuming the run in {args.output} as its {training.CONFIG_FILE} says")
     else:
         config = _config(args)

@@ -130,6 +130,13 @@ def test_a_folder_in_use_is_refused(toy_id: str, tmp_path: Path) -> None:
         training.train(toy_config(toy_id, tmp_path), tmp_path / "run")
 
 
+def test_a_refused_run_leaves_no_folder(toy_id: str, tmp_path: Path) -> None:
+    config = toy_config(toy_id, tmp_path, env_kwargs={"direction": "sideways"})
+    with pytest.raises(ValueError, match="direction='sideways'"):
+        training.train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     "wrong", [{"algorithm": "a2c"}, {"total_timesteps": 0}, {"num_envs": 0}, {"checkpoint_every": -1}]
 )
