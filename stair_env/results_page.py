@@ -1,4 +1,4 @@
-"""`python -m stair_env.results_page [FOLDER]` writes FOLDER/README.md from the JSON files that the commands wrote there.
+"""Write a folder's README.md from its JSON results: `python -m stair_env.results_page [FOLDER]`.
 
 Every number on the page is a number of a file; nothing is typed by hand.
 """
