@@ -166,7 +166,7 @@ def _error_config(name: str, value: Any, kind: Any) -> Any:
     return kind.ideal() if value == "ideal" else kind()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RgbdReading:
     """A frame as the robot's computer receives it.
 
@@ -251,8 +251,9 @@ class RgbdCamera:
         pose = np.asarray(camera_to_world, dtype=np.float64)
         if pose.shape != (4, 4):
             raise ValueError(f"camera_to_world has shape {pose.shape}, must be (4, 4)")
-        if self._last is not None and not time_s >= self._last[0]:
-            raise ValueError(f"time_s={time_s!r} lies before the last step's {self._last[0]!r}")
+        last_s = self._last[0] if self._last is not None else -np.inf
+        if not time_s >= last_s:  # written so that NaN fails too
+            raise ValueError(f"time_s={time_s!r} must not lie before the last step's {last_s!r}")
         pose = pose @ self._mount_error
         if self._is_due(time_s):
             reading = self._capture(time_s, pose, moving_shapes)

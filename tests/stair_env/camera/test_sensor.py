@@ -8,8 +8,11 @@ from scipy.spatial.transform import Rotation
 from stair_env.camera.colour_error import ColourErrorConfig
 from stair_env.camera.depth_error import DepthErrorConfig
 from stair_env.camera.intrinsics import D435I_COLOR_MODES
-from stair_env.camera.renderers.base import Frame
+from stair_env.camera.renderers.base import Frame, look_at
+from stair_env.camera.renderers.factory import make_renderer
 from stair_env.camera.sensor import CameraConfig, RgbdCamera, draw_mount_error, image_motion_px
+from stair_env.scene_spec import Scene, SceneSpec
+from stair_env.stairs import StairSpec
 
 CONTROL_DT = 5 / 240
 
@@ -182,6 +185,22 @@ def test_a_d435i_corrupts_both_images():
     both = (reading.depth_m > 0) & (exact.depth_m > 0)
     error = (reading.depth_m - exact.depth_m)[both]
     assert both.mean() > 0.6 and 0.0 < np.median(np.abs(error)) < 0.02
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_stairs_keep_most_of_their_depth_and_lose_some(direction):
+    stairs = StairSpec(direction=direction, num_steps=5)
+    scene = Scene(SceneSpec(stairs))
+    renderer = make_renderer("raycast", scene, threads=1)
+    height = float(stairs.profile().height_at(-1.0)) + 0.55
+    pose = look_at((-0.7, 0.3, height), (0.6, 0.0, height - 0.5))
+    sensor = RgbdCamera(CameraConfig(), renderer, np.random.default_rng(0))
+    reading, exact = sensor.step(0.0, pose), renderer.render(sensor.intrinsics, pose)
+    near = (exact.depth_m > 0.2) & (exact.depth_m < 3.0)
+    kept = near & (reading.depth_m > 0.0)
+    error = np.abs(reading.depth_m - exact.depth_m)[kept] / exact.depth_m[kept] ** 2
+    assert 0.85 < kept.sum() / near.sum() < 1.0
+    assert np.percentile(error, 75) < 0.01 < np.percentile(error, 99.95), "a plane's noise and flying pixels"
 
 
 def test_a_seed_decides_everything():
