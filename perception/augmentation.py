@@ -62,7 +62,14 @@ class AugmentationConfig:
     def paper(cls) -> AugmentationConfig:
         """The random mirror alone."""
         return cls(
-            shift=0.0, photometric=0.0, grey=0.0, noise=0.0, depth_scale=0.0, depth_holes=0.0, drop_colour=0.0, drop_depth=0.0
+            shift=0.0,
+            photometric=0.0,
+            grey=0.0,
+            noise=0.0,
+            depth_scale=0.0,
+            depth_holes=0.0,
+            drop_colour=0.0,
+            drop_depth=0.0,
         )
 
 

@@ -77,7 +77,10 @@ class OnnxBackend:
         if len(rgb) == 0:
             return empty_answer()
         answers = [
-            self._session.run(["cls", "loc"], {"rgb": colour_input(rgb[i : i + MAX_BATCH]), "depth": depth_input(depth_m[i : i + MAX_BATCH])})
+            self._session.run(
+                ["cls", "loc"],
+                {"rgb": colour_input(rgb[i : i + MAX_BATCH]), "depth": depth_input(depth_m[i : i + MAX_BATCH])},
+            )
             for i in range(0, len(rgb), MAX_BATCH)
         ]
         return as_grids(np.concatenate([a[0] for a in answers]), np.concatenate([a[1] for a in answers]))
@@ -120,9 +123,7 @@ class TorchBackend:
         check_batch(rgb, depth_m)
         if len(rgb) == 0:
             return empty_answer()
-        answers = [
-            self._run(rgb[i : i + MAX_BATCH], depth_m[i : i + MAX_BATCH]) for i in range(0, len(rgb), MAX_BATCH)
-        ]
+        answers = [self._run(rgb[i : i + MAX_BATCH], depth_m[i : i + MAX_BATCH]) for i in range(0, len(rgb), MAX_BATCH)]
         return as_grids(np.concatenate([a[0] for a in answers]), np.concatenate([a[1] for a in answers]))
 
     def _run(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

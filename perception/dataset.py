@@ -104,7 +104,9 @@ class StairDataset:
         depth = read_depth(self._depth_path(image), grey_level_m=self._grey_level_m)
         for array, path in ((rgb, image), (depth, self._depth_path(image))):
             if array.shape[:2] != (IMAGE_SIZE, IMAGE_SIZE):
-                raise DatasetError(f"{path}: {array.shape[1]}x{array.shape[0]} pixels, must be {IMAGE_SIZE}x{IMAGE_SIZE}")
+                raise DatasetError(
+                    f"{path}: {array.shape[1]}x{array.shape[0]} pixels, must be {IMAGE_SIZE}x{IMAGE_SIZE}"
+                )
         return Sample(rgb, depth, kinds, order_left_first(lines), read_side_car(image.with_suffix(".json")))
 
     def side_car(self, index: int) -> dict[str, Any]:
@@ -128,7 +130,7 @@ def read_depth(path: str | Path, *, unit_m: float = MILLIMETRE, grey_level_m: fl
     """float32 (H, W) metres, 0 = no reading.
 
     Args:
-        path: 16-bit png in units of unit_m, or 8-bit as in the public set, of which a colour copy's first channel counts.
+        path: 16-bit png in units of unit_m, or 8-bit as in the public set; of three equal channels one counts.
         unit_m: metres a unit of 16-bit depth.
         grey_level_m: metres a grey level of 8-bit depth.
 

@@ -7,22 +7,26 @@ processes gives the same set, and an interrupted run goes on where it stopped.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import multiprocessing
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from perception.dataset import read_side_car
 from perception.labels import format_labels
 from perception.synthetic import DEPTH_UNIT_M, FrameConfig, LabelledFrame, draw_frame
 
 SPLITS = ("train", "val", "test")
 IMAGES, DEPTHS, LABELS = "images", "depthes", "labels"  # folder names of the public set
 JPEG_QUALITY = 95
+NOTE = "dataset.json"  # in the set's folder: seed, settings, counts
 PNG_COMPRESSION = 1  # 1.3 times the size of the default at a fifth of the time
 
 
@@ -57,10 +61,15 @@ class DatasetPlan:
         """The generator of one frame."""
         return np.random.default_rng([self.seed, SPLITS.index(split), index])
 
+    def describe(self) -> dict[str, Any]:
+        """JSON form of everything but the folder and the numbers of frames."""
+        config = dataclasses.asdict(self.config)
+        return {"seed": self.seed, "config": json.loads(json.dumps(config))}
+
 
 def missing_frames(plan: DatasetPlan) -> list[tuple[str, int]]:
     """(split, index) of the frames that are not written yet."""
-    missing = []
+    missing: list[tuple[str, int]] = []
     for split, count in plan.frames.items():
         done = {path.name.split("_")[0] for path in (plan.root / split / LABELS).glob("*.txt")}
         missing.extend((split, index) for index in range(count) if f"{index:06d}" not in done)
@@ -77,6 +86,7 @@ def write_missing(plan: DatasetPlan, workers: int = 1) -> Iterator[tuple[str, st
     Yields:
         (split, lighting) of each written frame, in any order.
     """
+    _claim(plan)
     for split in plan.frames:
         for folder in (IMAGES, DEPTHS, LABELS):
             (plan.root / split / folder).mkdir(parents=True, exist_ok=True)
@@ -86,6 +96,38 @@ def write_missing(plan: DatasetPlan, workers: int = 1) -> Iterator[tuple[str, st
         return
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
         yield from pool.imap_unordered(_write_job, jobs, chunksize=8)
+
+
+def _claim(plan: DatasetPlan) -> None:
+    """Note in the folder what it holds, or check that the note says the same.
+
+    Raises:
+        ValueError: the folder holds a set of another seed or other frames.
+    """
+    note = plan.root / NOTE
+    if note.is_file():
+        if read_side_car(note).get("made_by") != plan.describe():
+            raise ValueError(f"{note}: the folder holds another set; choose another --output or the same settings")
+        return
+    plan.root.mkdir(parents=True, exist_ok=True)
+    _replace(note, json.dumps({"made_by": plan.describe()}, indent=2).encode())
+
+
+def complete(plan: DatasetPlan) -> dict[str, Any]:
+    """Count what is there and write it into the folder's note.
+
+    Returns:
+        {"images", "day", "night", "splits": {name: {...}}}: colour and depth images both counted, as the paper does.
+    """
+    splits = {}
+    for split in plan.frames:
+        names = [path.stem for path in (plan.root / split / LABELS).glob("*.txt") if not path.name.startswith(".")]
+        by_light = {light: 2 * sum(name.endswith(f"_{light}") for name in names) for light in ("day", "night")}
+        splits[split] = {"images": 2 * len(names), **by_light}
+    total = {key: sum(counts[key] for counts in splits.values()) for key in ("images", "day", "night")}
+    summary = {**total, "splits": splits}
+    _replace(plan.root / NOTE, json.dumps({"made_by": plan.describe(), **summary}, indent=2).encode())
+    return summary
 
 
 def _write_job(job: tuple[DatasetPlan, str, int]) -> tuple[str, str]:

@@ -23,19 +23,23 @@ def folded(network: StairNetV2, *, dense: bool = False) -> StairNetV2:
     network = copy.deepcopy(network).cpu().eval().requires_grad_(False)
     for module in network.modules():
         if isinstance(module, ConvNormAct):
-            module[0] = fuse_conv_bn_eval(module[0], module[1])
-            module[1] = nn.Identity()
+            module[0], module[1] = _fused(module[0], module[1]), nn.Identity()
         elif isinstance(module, Bottleneck):
             _fold_bottleneck(module, dense)
     return network
 
 
 def _fold_bottleneck(block: Bottleneck, dense: bool) -> None:
-    spatial = fuse_conv_bn_eval(_plain(block.spatial, dense), block.spatial_norm)
+    spatial = _fused(_plain(block.spatial, dense), block.spatial_norm)
     block.spatial, block.spatial_norm = spatial, nn.Identity()  # type: ignore[assignment]
-    block.expand, block.expand_norm = fuse_conv_bn_eval(block.expand, block.expand_norm), nn.Identity()  # type: ignore[assignment]
+    block.expand, block.expand_norm = _fused(block.expand, block.expand_norm), nn.Identity()  # type: ignore[assignment]
     if isinstance(block.shortcut, nn.Sequential):
-        block.shortcut = fuse_conv_bn_eval(block.shortcut[0], block.shortcut[1])
+        block.shortcut = _fused(block.shortcut[0], block.shortcut[1])
+
+
+def _fused(conv: nn.Module, norm: nn.Module) -> nn.Conv2d:
+    assert isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
+    return fuse_conv_bn_eval(conv, norm)
 
 
 def _plain(conv: GroupedConv3x3, dense: bool) -> nn.Conv2d:

@@ -7,6 +7,7 @@ architecture). Label files have one line `cls x1 y1 x2 y2` a stair line.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +100,7 @@ def _cut(line: np.ndarray, rows: int, columns: int) -> list[tuple[int, int, np.n
             cuts.extend((whole - start[axis]) / step[axis])
     t = np.unique(np.clip(cuts, 0.0, 1.0))
     found = []
-    for t0, t1 in zip(t[:-1], t[1:]):
+    for t0, t1 in itertools.pairwise(t):
         column, row = np.floor(start + step * (t0 + t1) / 2).astype(int)
         if 0 <= row < rows and 0 <= column < columns:
             corner = np.array([column, row])

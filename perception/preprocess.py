@@ -57,7 +57,8 @@ def letterbox_lines(lines: np.ndarray, width: int, height: int, size: int = IMAG
         (n, 4) float64.
     """
     left, top, side = letterbox_padding(width, height)
-    return (np.asarray(lines, dtype=np.float64).reshape(-1, 4) + [left, top, left, top]) * (size / side)
+    offset = np.array([left, top, left, top], dtype=np.float64)
+    return (np.asarray(lines, dtype=np.float64).reshape(-1, 4) + offset) * (size / side)
 
 
 def colour_input(rgb: np.ndarray) -> np.ndarray:

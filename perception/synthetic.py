@@ -89,7 +89,7 @@ class LabelledFrame:
     scene: SceneSpec
 
     def side_car(self) -> dict[str, Any]:
-        """What is written beside the image: intrinsics and gravity as `stair-env perceive` reads them, and the truth."""
+        """What is written beside the image: intrinsics and gravity for `stair-env perceive`, and the truth."""
         stairs = self.scene.stairs
         return {
             **{name: getattr(self.intrinsics, name) for name in ("fx", "fy", "cx", "cy")},

@@ -270,9 +270,7 @@ class StairNetTraining(L.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Adam, its rate set before every step by `on_train_batch_start`."""
-        return torch.optim.Adam(
-            self.parameters(), lr=self.preset.learning_rate, weight_decay=self.preset.weight_decay
-        )
+        return torch.optim.Adam(self.parameters(), lr=self.preset.learning_rate, weight_decay=self.preset.weight_decay)
 
     def on_train_batch_start(self, batch: Batch, batch_index: int) -> None:
         """Set the learning rate from the progress, which a resumed run knows."""

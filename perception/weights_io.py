@@ -96,7 +96,9 @@ def load_weights(path: str | Path, width: float, fusion_stage: int = 2) -> Stair
         raise WeightsError(f"{path}: not a safetensors file: {error}") from error
     except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
-        raise WeightsError(f"{path}: not the weights of width={width}, fusion_stage={fusion_stage}: {reason}") from error
+        raise WeightsError(
+            f"{path}: not the weights of width={width}, fusion_stage={fusion_stage}: {reason}"
+        ) from error
     return network.eval()
 
 

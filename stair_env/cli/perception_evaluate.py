@@ -1,0 +1,92 @@
+"""`stair-env perception-evaluate`: accuracy, recall and IOU of a detector, as in table 5 of the paper."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from pathlib import Path
+from typing import Any
+
+from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
+
+WIDTH_NAMES = ("1.0", "0.5", "0.25")
+BACKEND_NAMES = ("onnx", "torch")
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Declare the options."""
+    parser = subparsers.add_parser(
+        "perception-evaluate",
+        help="accuracy, recall and IOU of a detector",
+        description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
+        "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
+        "rendered first.",
+    )
+    parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
+    parser.add_argument("--split", default="test", help="folder of the set to score (%(default)s)")
+    parser.add_argument("--frames", type=positive_int, default=608, help="frames to render (%(default)s)")
+    parser.add_argument(
+        "--render-to", type=Path, default=Path("runs/perception-test"), help="where to render (%(default)s)"
+    )
+    parser.add_argument(
+        "--width", type=choice_list(WIDTH_NAMES), default=("0.25",), help="width factors, comma-separated (0.25)"
+    )
+    parser.add_argument(
+        "--weights", type=Path, metavar="FILE", help="safetensors or onnx file instead of the shipped ones"
+    )
+    parser.add_argument("--backend", choices=BACKEND_NAMES, default="onnx", help="what runs the network (%(default)s)")
+    parser.add_argument("--workers", type=positive_int, default=1, help="processes that render (%(default)s)")
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, and print the table."""
+    from perception.dataset import StairDataset
+    from perception.evaluation import as_rows, evaluate_detector
+
+    backends = [(float(width), _backend(args, float(width))) for width in args.width]
+    root = args.data if args.data is not None else _rendered(args)
+    frames = StairDataset(root, args.split or None)
+    rows: list[dict[str, Any]] = []
+    for width, backend in backends:
+        bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
+        tallies = evaluate_detector(backend, frames, progress=bar)
+        rows.extend(as_rows(tallies, "StairNetV2", width))
+    _print_table(rows)
+    if args.json:
+        write_json(args.json, {"rows": rows, "backend": args.backend}, seed=args.seed)
+    return 0
+
+
+def _backend(args: argparse.Namespace, width: float) -> Any:
+    from perception.backends import OnnxBackend, TorchBackend, make_backend
+    from perception.weights_io import load_weights
+
+    if args.weights is None:
+        return make_backend(args.backend, width)
+    if args.weights.suffix == ".onnx":
+        return OnnxBackend(path=args.weights)
+    return TorchBackend(network=load_weights(args.weights, width))
+
+
+def _rendered(args: argparse.Namespace) -> Path:
+    """Render a test set, or complete one that is there; returns its folder."""
+    from perception.dataset_writer import DatasetPlan, complete, missing_frames, write_missing
+
+    plan = DatasetPlan(args.render_to, {"test": args.frames}, seed=args.seed)
+    total = len(missing_frames(plan))
+    for _ in progress(write_missing(plan, args.workers), total=total, description="rendering"):
+        pass
+    complete(plan)
+    root: Path = args.render_to
+    return root
+
+
+def _print_table(rows: list[dict[str, Any]]) -> None:
+    print(f"{'width':>6} {'split':<14} {'accuracy':>9} {'recall':>8} {'IOU':>8} {'frames':>7}")
+    for row in rows:
+        found = f"   something found in {row['false_frames']} % of them" if "false_frames" in row else ""
+        print(
+            f"{row['width']:>6g} {row['split']:<14} {row['accuracy']:>9.2f} {row['recall']:>8.2f} {row['iou']:>8.2f} "
+            f"{row['frames']:>7}{found}"
+        )
