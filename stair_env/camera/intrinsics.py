@@ -43,13 +43,13 @@ class Intrinsics:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
                 raise SpecError(f"{name}={value!r} must be a whole number of pixels")
-            check_range(name, value, 1, MAX_IMAGE_SIDE_PX)
+            check_range(name, int(value), 1, MAX_IMAGE_SIDE_PX)
             object.__setattr__(self, name, int(value))
         for name, side in (("fx", self.width), ("fy", self.height)):
             low = side / 2.0 / math.tan(MAX_FIELD_OF_VIEW_RAD / 2.0)
             check_range(name, getattr(self, name), low, 1000.0 * side)
-        check_range("cx", self.cx, -self.width, 2.0 * self.width)
-        check_range("cy", self.cy, -self.height, 2.0 * self.height)
+        for name in ("cx", "cy"):  # outside the image when it is a crop
+            check_range(name, getattr(self, name), -MAX_IMAGE_SIDE_PX, MAX_IMAGE_SIDE_PX)
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, float(getattr(self, name)))
 

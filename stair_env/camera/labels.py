@@ -75,8 +75,8 @@ def visible_edges(
         camera_to_world: (4, 4) pose of the optical frame.
         frame: drawn with these intrinsics from this pose.
         min_length_px: shorter parts are dropped.
-        min_gap_px: lines that lie closer together are dropped: of a nosing and an inner edge only the inner edge, of
-            two nosings or two inner edges both.
+        min_gap_px: of two lines that lie closer together one is dropped: the inner edge beside a nosing, else the
+            farther one.
 
     Returns:
         Labels in the order of edges.
@@ -98,14 +98,15 @@ def visible_edges(
     visible = _is_visible(
         np.concatenate([uv for _, uv, _ in seen]), np.concatenate([z for _, _, z in seen]), frame.depth_m
     )
-    labels, start = [], 0
-    for edge, uv, _ in seen:
-        ends = _longest_visible(uv, visible[start : start + len(uv)])
+    labels, distances, start = [], [], 0
+    for edge, uv, z in seen:
+        run = _longest_run(visible[start : start + len(uv)], _max_bridged_samples(uv))
         start += len(uv)
-        if ends is not None:
-            (x1, y1), (x2, y2) = sorted(ends.tolist())
+        if run is not None:
+            (x1, y1), (x2, y2) = sorted(uv[[run[0], run[1] - 1]].tolist())
             labels.append(LineLabel(edge.kind, x1, y1, x2, y2, edge.step))
-    return [label for label in _drop_crowded(labels, min_gap_px) if label.length >= min_length_px]
+            distances.append(float(z[run[0] : run[1]].mean()))
+    return [label for label in _drop_crowded(labels, distances, min_gap_px) if label.length >= min_length_px]
 
 
 def clip_to_view(points_camera: np.ndarray, intrinsics: Intrinsics) -> np.ndarray | None:
@@ -151,11 +152,10 @@ def _sample(segment: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np
     return ends[0] + along[:, None] * (ends[1] - ends[0]), 1.0 / (inverse[0] + along * (inverse[1] - inverse[0]))
 
 
-def _longest_visible(uv: np.ndarray, visible: np.ndarray) -> np.ndarray | None:
-    """(2, 2) image end points of the longest visible part of (n, 2) samples, or None."""
+def _max_bridged_samples(uv: np.ndarray) -> int:
+    """How many of (n, 2) samples a gap that is closed may have."""
     spacing = float(np.linalg.norm(uv[-1] - uv[0])) / (len(uv) - 1)
-    run = _longest_run(visible, int(MAX_BRIDGED_PX / max(spacing, 1e-9)))
-    return None if run is None else uv[[run[0], run[1] - 1]]
+    return int(MAX_BRIDGED_PX / max(spacing, 1e-9))
 
 
 def _is_visible(uv: np.ndarray, expected_m: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -193,13 +193,16 @@ def _longest_run(visible: np.ndarray, max_gap: int) -> tuple[int, int] | None:
     return max(runs, key=lambda run: run[1] - run[0], default=None)
 
 
-def _drop_crowded(labels: list[LineLabel], min_gap_px: float) -> list[LineLabel]:
-    """Leave out lines that no one could tell from a neighbour; see `visible_edges`."""
+def _drop_crowded(labels: list[LineLabel], distances: list[float], min_gap_px: float) -> list[LineLabel]:
+    """Leave out lines that no one could tell from a neighbour; see `visible_edges`. distances are in metres."""
     kept = []
-    for i, label in enumerate(labels):
-        rivals = (
-            other for j, other in enumerate(labels) if j != i and (label.kind == "concave" or other.kind == "convex")
-        )
+    for label, distance in zip(labels, distances):
+        rivals = [
+            other
+            for other, other_distance in zip(labels, distances)
+            if (other.kind == label.kind and other_distance < distance)
+            or (label.kind == "concave" and other.kind == "convex")
+        ]
         if all(gap_px(label, other) >= min_gap_px for other in rivals):
             kept.append(label)
     return kept

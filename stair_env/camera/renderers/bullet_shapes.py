@@ -13,6 +13,7 @@ from stair_env.scene import Shape, ShapeKind, Vector3
 _SPHERE, _BOX, _CYLINDER, _MESH, _CAPSULE = 2, 3, 4, 5, 7
 _BASE = -1
 ROUNDNESS_TOLERANCE = 0.02  # of the radius; Bullet turns a URDF's cylinder into a prism of 32 sides
+MIN_ROUND_VERTICES = 16  # the corners of a box lie on a cylinder too
 MIN_SIZE_M = 2e-3  # smaller shapes are markers, not bodies
 
 
@@ -118,7 +119,7 @@ def fit_solid(vertices: np.ndarray) -> _Local:
     local = (vertices - centre) @ frame
     for axis in range(3):
         radius = np.hypot(local[:, axis - 2], local[:, axis - 1])
-        if radius.min() > (1.0 - ROUNDNESS_TOLERANCE) * radius.max():
+        if len(vertices) >= MIN_ROUND_VERTICES and radius.min() > (1.0 - ROUNDNESS_TOLERANCE) * radius.max():
             # A cyclic exchange of axes keeps the frame right-handed and makes this one z.
             turned = frame[:, [axis - 2, axis - 1, axis]]
             return "cylinder", (float(radius.max()), float(half[axis]), 0.0), centre, Rotation.from_matrix(turned)

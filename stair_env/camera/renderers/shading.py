@@ -3,6 +3,9 @@
 Works tile by tile in stages, each a loop over the tile's pixels without branches, so that LLVM vectorises it. The
 pixels' values lie in one flat buffer of floats and one of integers, a block of AREA entries for each quantity: with
 offsets known at compile time LLVM sees that the blocks do not overlap.
+
+All of it is in one file because numba's cache of a compiled function watches only the file of that function: a change
+in a module that it calls would go unnoticed.
 """
 
 from __future__ import annotations

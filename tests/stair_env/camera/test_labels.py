@@ -128,6 +128,13 @@ def test_kept_nosings_are_apart():
     assert min(gap_px(a, b) for a in nosings for b in nosings if a is not b) >= 3.0
 
 
+def test_in_line_with_all_nosings_only_the_nearest_is_told():
+    scene = scene_of(direction="down", num_steps=6, riser_height=0.125, tread_depth=0.25)
+    eye = (-1.0, 0.0, scene.stairs.total_height + 0.5)  # on the line through the nosings
+    labels = labels_of(scene, look_at(eye, (0.25, 0.0, scene.stairs.total_height - 0.125)))
+    assert [(label.kind, label.step) for label in labels] == [("convex", 0)]
+
+
 def test_gap_of_parallel_lines_and_of_lines_side_by_side():
     base = LineLabel("convex", 0.0, 10.0, 100.0, 10.0)
     assert gap_px(base, LineLabel("convex", 50.0, 14.0, 90.0, 14.0)) == pytest.approx(4.0)
