@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perception.face_kinds import RISER, TREAD, UNKNOWN, Candidate, choose_kinds
 from stair_env.camera.intrinsics import Intrinsics
-
-UNKNOWN, TREAD, RISER = 0, 1, 2
 
 COLUMN_BANDS = 36  # samples across a strip: the paper's nine sampling points, four columns each
 ROW_SAMPLES = 14  # samples between two lines
@@ -31,12 +30,10 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 6.0
 
 DEPTH_SIGMA_PER_M2 = 0.0036  # RMS depth error of the D435i at 1 m, grows with Z^2: 0.08 px / (447 px * 0.05 m)
 DEPTH_FLOOR_M = 0.004  # unevenness of real treads and quantised disparity
-POINTS_PER_INDEPENDENT = 6.0  # stereo matching correlates neighbouring pixels
+PATCH_PX = 28.0  # side of an image patch that counts as one reading: stereo matching correlates its pixels
+PATCH_IMAGE_WIDTH_PX = 640.0  # of the image for which PATCH_PX holds
 ROBUST_CUT = 3.0  # residuals beyond this many standard deviations carry no weight
 MIN_POINTS = 24
-MIN_INLIER_FRACTION = 0.6
-MAX_FACE_SCATTER = 2.5  # median residual of a face, standard deviations
-MIN_CONTRAST = 1.6  # how much worse the other kind of face must explain the same points
 ITERATIONS = 4
 
 
@@ -48,11 +45,36 @@ class Strips:
         rays: (K, N, 3) directions in the camera frame, z = 1.
         depth_m: (K, N) distance along the optical axis; 0 where there is no reading.
         ok: (K, N) whether the point counts.
+        points_per_reading: (K,) points that together say as much as one independent reading.
     """
 
     rays: np.ndarray
     depth_m: np.ndarray
     ok: np.ndarray
+    points_per_reading: np.ndarray
+
+
+@dataclass(frozen=True)
+class LineViews:
+    """How the camera sees the m lines between the strips.
+
+    Attributes:
+        normals: (m, 3) unit normals, camera frame, of the planes through the camera and each line.
+        direction_std: (m,) standard deviation of each line's direction in the image, radians.
+        rays: (m, 3) through the middle of each line, z = 1.
+        jittered_rays: (m, 3) the same one standard deviation of the line's place lower in the image.
+    """
+
+    normals: np.ndarray
+    direction_std: np.ndarray
+    rays: np.ndarray
+    jittered_rays: np.ndarray
+
+    def slopes(self, camera_to_stair: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Height per forward metre of each line, (m,), and its standard deviation (m,)."""
+        middle, jittered = self.rays @ camera_to_stair.T, self.jittered_rays @ camera_to_stair.T
+        slope = middle[:, 2] / np.maximum(middle[:, 0], 1e-3)
+        return slope, np.abs(jittered[:, 2] / np.maximum(jittered[:, 0], 1e-3) - slope)
 
 
 @dataclass(frozen=True)
@@ -102,7 +124,7 @@ def sample_strips(lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics
     margin = np.minimum(EDGE_MARGIN_PX, EDGE_MARGIN_FRACTION * gap)
     t = (np.arange(ROW_SAMPLES) + 0.5) / ROW_SAMPLES
     y = (y_high + margin)[:, :, None] + (gap - 2.0 * margin)[:, :, None] * t
-    return _read(x, y, gap > 1.0, depth_m, intrinsics)
+    return _read(x, y, gap, depth_m, intrinsics)
 
 
 def _columns(low_line: np.ndarray, high_line: np.ndarray) -> np.ndarray:
@@ -119,12 +141,12 @@ def _columns(low_line: np.ndarray, high_line: np.ndarray) -> np.ndarray:
     return start[:, None] + (end - start)[:, None] * t
 
 
-def _read(x: np.ndarray, y: np.ndarray, open_column: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics) -> Strips:
-    """Depth and rays at columns (K, C) and rows (K, C, S)."""
+def _read(x: np.ndarray, y: np.ndarray, gap: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics) -> Strips:
+    """Depth and rays at columns (K, C) and rows (K, C, S) between lines that are gap (K, C) pixels apart."""
     rows, columns = depth_m.shape
     u = np.broadcast_to(x[:, :, None], y.shape).astype(np.int32)
     v = np.floor(y).astype(np.int32)
-    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows) & open_column[:, :, None]
+    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows) & (gap > 1.0)[:, :, None]
     u, v = np.clip(u, 0, columns - 1), np.clip(v, 0, rows - 1)
     depth = depth_m[v, u].astype(np.float64)
     ok = inside & (depth > MIN_DEPTH_M) & (depth < MAX_DEPTH_M)  # NaN compares false
@@ -134,7 +156,11 @@ def _read(x: np.ndarray, y: np.ndarray, open_column: np.ndarray, depth_m: np.nda
     rays[..., 1] = (v + 0.5 - intrinsics.cy) / intrinsics.fy
     rays[..., 2] = 1.0
     count = len(x)
-    return Strips(rays.reshape(count, -1, 3), depth.reshape(count, -1), ok.reshape(count, -1))
+    patch = PATCH_PX * columns / PATCH_IMAGE_WIDTH_PX
+    across = np.maximum((x[:, -1] - x[:, 0]) / patch, 1.0)
+    along = np.maximum(np.maximum(gap, 0.0).mean(axis=1) / patch, 1.0)
+    points_per_reading = np.maximum(COLUMN_BANDS * ROW_SAMPLES / (across * along), 1.0)
+    return Strips(rays.reshape(count, -1, 3), depth.reshape(count, -1), ok.reshape(count, -1), points_per_reading)
 
 
 def masked_median(values: np.ndarray, ok: np.ndarray) -> np.ndarray:
@@ -145,20 +171,13 @@ def masked_median(values: np.ndarray, ok: np.ndarray) -> np.ndarray:
     return np.where(count > 0, middle, 0.0)
 
 
-def fit_faces(
-    strips: Strips,
-    camera_to_stair: np.ndarray,
-    line_normals: np.ndarray,
-    line_slope_std: np.ndarray,
-    gravity_std_rad: float,
-) -> Faces:
+def fit_faces(strips: Strips, camera_to_stair: np.ndarray, views: LineViews, gravity_std_rad: float) -> Faces:
     """Which face each strip shows and where it lies, with one orientation for all.
 
     Args:
-        strips: sampled points.
+        strips: K sampled strips.
         camera_to_stair: (3, 3) first guess of the rotation into (f, l, h), from gravity and the lines' yaw.
-        line_normals: (m, 3) unit normals, camera frame, of the planes through the camera and each detected line.
-        line_slope_std: (m,) standard deviation of each line's direction in the image, radians.
+        views: of the K - 1 lines between the strips.
         gravity_std_rad: how far to trust the gravity vector.
 
     Returns:
@@ -167,65 +186,99 @@ def fit_faces(
     rotation = np.array(camera_to_stair, dtype=np.float64)
     turned = np.zeros(3)
     cov = np.diag([gravity_std_rad**2, gravity_std_rad**2, 0.1**2])
-    kind, weight = np.zeros(len(strips.ok), dtype=int), np.zeros(strips.ok.shape)
+    fit = _fit_each(strips, rotation, views)
     for _ in range(ITERATIONS):
-        points = (strips.rays @ rotation.T) * strips.depth_m[:, :, None]  # (K, N, 3) f, l, h
-        kind, value, weight = _classify(points, strips, rotation)
-        if not kind.any():
+        if not fit.kind.any():
             break
-        step, cov = _solve_rotation(
-            points, kind, value, weight, line_normals @ rotation.T, line_slope_std, turned, gravity_std_rad
-        )
+        step, cov = _solve_rotation(fit, views.normals @ rotation.T, views.direction_std, turned, gravity_std_rad)
         rotation = _small_rotation(step) @ rotation
         turned = turned + step
-    points = (strips.rays @ rotation.T) * strips.depth_m[:, :, None]
-    coordinate = np.where((kind == RISER)[:, None], points[:, :, 0], points[:, :, 2])
-    total = np.maximum(weight.sum(axis=1), 1e-9)
-    value = (weight * coordinate).sum(axis=1) / total
-    std = np.sqrt(POINTS_PER_INDEPENDENT / total)
-    return Faces(kind, np.where(kind > 0, value, 0.0), std, rotation, cov)
+        fit = _fit_each(strips, rotation, views)
+    return Faces(fit.kind, np.where(fit.kind > 0, fit.value, 0.0), fit.std, rotation, cov)
 
 
-def _classify(points: np.ndarray, strips: Strips, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kind (K,), value (K,) and the weight of every point (K, N) for that kind."""
-    ok = strips.ok
-    sigma_depth = depth_std(strips.depth_m)
-    scaled = strips.rays @ rotation.T
-    count = ok.sum(axis=1)
-    scatter, values, weights, share = [], [], [], []
-    for axis in (2, 0):  # a tread has one height, a riser one forward distance
-        sigma = np.hypot(sigma_depth * np.abs(scaled[:, :, axis]), DEPTH_FLOOR_M)
-        coordinate = points[:, :, axis]
-        centre = masked_median(coordinate, ok)
-        for _ in range(2):
-            chi = np.abs(coordinate - centre[:, None]) / sigma
-            weight = np.where(ok & (chi < ROBUST_CUT), (1.0 - np.square(chi / ROBUST_CUT)) ** 2 / sigma**2, 0.0)
-            total = weight.sum(axis=1)
-            centre = np.where(total > 0, (weight * coordinate).sum(axis=1) / np.maximum(total, 1e-9), centre)
-        chi = np.abs(coordinate - centre[:, None]) / sigma
-        scatter.append(masked_median(chi, ok) + 0.2)  # + 0.2: exact depth must not divide by zero
-        share.append((ok & (chi < ROBUST_CUT)).sum(axis=1) / np.maximum(count, 1))
-        values.append(centre)
-        weights.append(weight)
-    tread_is_better = scatter[0] <= scatter[1]
-    best = np.where(tread_is_better, scatter[0], scatter[1])
-    other = np.where(tread_is_better, scatter[1], scatter[0])
-    inliers = np.where(tread_is_better, share[0], share[1])
-    good = (count >= MIN_POINTS) & (best < MAX_FACE_SCATTER) & (other > MIN_CONTRAST * best)
-    good &= inliers >= MIN_INLIER_FRACTION
-    kind = np.where(good, np.where(tread_is_better, TREAD, RISER), UNKNOWN)
-    value = np.where(tread_is_better, values[0], values[1])
-    weight = np.where(tread_is_better[:, None], weights[0], weights[1]) * good[:, None]
-    return kind, value, weight
+@dataclass(frozen=True)
+class _Fit:
+    """Strips explained as treads or risers under one orientation.
+
+    Attributes:
+        kind, value, std: (K,) as in `Faces`.
+        residual: (K, N) measured minus fitted coordinate of each point, metres.
+        weight: (K, N) inverse variance of each residual as one of many independent readings, 0 for outliers.
+        fitted: (K, N, 3) where each point's ray meets the fitted face.
+    """
+
+    kind: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    residual: np.ndarray
+    weight: np.ndarray
+    fitted: np.ndarray
+
+
+def _fit_each(strips: Strips, rotation: np.ndarray, views: LineViews) -> _Fit:
+    """Explain each strip as a tread and as a riser, and keep what fits it and its neighbours."""
+    rays = strips.rays @ rotation.T
+    tread, riser = (_fit_constant(rays[:, :, axis], strips) for axis in (2, 0))
+    enough = strips.ok.sum(axis=1) >= MIN_POINTS
+    kind = choose_kinds(tread.candidate, riser.candidate, enough, *views.slopes(rotation))
+    is_riser = (kind == RISER)[:, None]
+    return _Fit(
+        kind=kind,
+        value=np.where(kind == RISER, riser.candidate.value, tread.candidate.value),
+        std=np.where(kind == RISER, riser.candidate.std, tread.candidate.std),
+        residual=np.where(is_riser, riser.residual, tread.residual),
+        weight=np.where(is_riser, riser.weight, tread.weight) * (kind != UNKNOWN)[:, None],
+        fitted=rays * np.where(is_riser, riser.depth, tread.depth)[:, :, None],
+    )
+
+
+@dataclass(frozen=True)
+class _ConstantFit:
+    """Every strip fitted with one coordinate constant; `depth` (K, N) is where the rays meet that plane."""
+
+    candidate: Candidate
+    residual: np.ndarray
+    weight: np.ndarray
+    depth: np.ndarray
+
+
+def _fit_constant(per_depth: np.ndarray, strips: Strips) -> _ConstantFit:
+    """Robust location of coordinate = per_depth * depth in each strip.
+
+    What a reading is expected to scatter, and where it is taken to lie, follows from the fitted plane and not from
+    the reading itself: noise that moves a point along its ray would otherwise tilt and shift every plane.
+
+    Args:
+        per_depth: (K, N) the coordinate of each ray at unit depth.
+        strips: the points.
+    """
+    ok, measured = strips.ok, strips.depth_m
+    coordinate = per_depth * measured
+    value = masked_median(coordinate, ok)
+    safe = np.where(np.abs(per_depth) < 1e-3, 1e-3, per_depth)
+    for _ in range(3):
+        depth = value[:, None] / safe
+        depth = np.where((depth > 0.5 * measured) & (depth < 2.0 * measured), depth, measured)
+        sigma = np.hypot(depth_std(depth) * per_depth, DEPTH_FLOOR_M)
+        residual = coordinate - value[:, None]
+        chi = np.abs(residual) / sigma
+        weight = np.where(ok & (chi < ROBUST_CUT), (1.0 - np.square(chi / ROBUST_CUT)) ** 2 / sigma**2, 0.0)
+        total = weight.sum(axis=1)
+        value = np.where(total > 0, value + (weight * residual).sum(axis=1) / np.maximum(total, 1e-9), value)
+    residual = coordinate - value[:, None]
+    chi = np.abs(residual) / sigma
+    inliers = (ok & (chi < ROBUST_CUT)).sum(axis=1) / np.maximum(ok.sum(axis=1), 1)
+    scatter = masked_median(chi, ok) + 0.2  # + 0.2: exact depth must not divide by zero
+    weight = weight / strips.points_per_reading[:, None]
+    std = 1.0 / np.sqrt(np.maximum(weight.sum(axis=1), 1e-6))
+    return _ConstantFit(Candidate(value, std, scatter, inliers), residual, weight, depth)
 
 
 def _solve_rotation(
-    points: np.ndarray,
-    kind: np.ndarray,
-    value: np.ndarray,
-    weight: np.ndarray,
+    fit: _Fit,
     line_normals: np.ndarray,
-    line_slope_std: np.ndarray,
+    line_direction_std: np.ndarray,
     turned: np.ndarray,
     gravity_std_rad: float,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -233,18 +286,25 @@ def _solve_rotation(
 
     A small rotation w moves p to p + w x p: h gains w_f l - w_l f, and f gains w_l h - w_h l. The value of each face
     is eliminated by centring its points.
+
+    Args:
+        fit: the faces as they are now.
+        line_normals: (m, 3) normals of the lines' viewing planes in (f, l, h).
+        line_direction_std: (m,) radians.
+        turned: (3,) rotation since the first guess.
+        gravity_std_rad: of the first guess about f and l.
     """
-    used = kind > 0
-    weight = weight[used] / POINTS_PER_INDEPENDENT
-    f, left, h = np.moveaxis(points[used], 2, 0)
-    is_tread = (kind[used] == TREAD)[:, None]
+    used = fit.kind > 0
+    weight = fit.weight[used]
+    f, left, h = np.moveaxis(fit.fitted[used], 2, 0)
+    is_tread = (fit.kind[used] == TREAD)[:, None]
     zero = np.zeros_like(f)
     jacobian = np.stack(
         [np.where(is_tread, left, zero), np.where(is_tread, -f, h), np.where(is_tread, zero, -left)], axis=2
     )
-    residual = np.where(is_tread, h, f) - value[used][:, None]
     total = np.maximum(weight.sum(axis=1), 1e-9)[:, None]
     jacobian = jacobian - ((weight[:, :, None] * jacobian).sum(axis=1) / total)[:, None, :]
+    residual = fit.residual[used]
     residual = residual - (weight * residual).sum(axis=1, keepdims=True) / total
     flat, w = jacobian.reshape(-1, 3), weight.reshape(-1)
     normal = (flat * w[:, None]).T @ flat
@@ -253,10 +313,10 @@ def _solve_rotation(
     # The horizontal line in the plane with normal n runs along (n_l, -n_f, 0): its yaw error is n_l / n_f.
     n_f, n_l, n_h = line_normals.T
     seen = np.abs(n_f) > 0.05  # a line at the horizon says nothing about yaw
-    n_f, n_l, n_h, slope_std = n_f[seen], n_l[seen], n_h[seen], line_slope_std[seen]
+    n_f, n_l, n_h, direction_std = n_f[seen], n_l[seen], n_h[seen], line_direction_std[seen]
     rows = np.stack([-n_h / n_f, np.zeros_like(n_f), np.ones_like(n_f)], axis=1)
     yaw_error = n_l / n_f
-    sigma = np.hypot(slope_std / np.abs(n_f), 0.003)
+    sigma = np.hypot(direction_std / np.abs(n_f), 0.003)
     offset = np.abs(yaw_error - np.median(yaw_error)) if len(yaw_error) else yaw_error
     line_weight = np.where(offset < 4.0 * sigma + 0.02, 1.0 / sigma**2, 0.0)
     normal += (rows * line_weight[:, None]).T @ rows

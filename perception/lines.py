@@ -23,9 +23,12 @@ CELL_WIDTH_PX = NETWORK_SIZE_PX // GRID_COLUMNS
 SCORE_THRESHOLD = 0.5  # the paper's confidence
 
 SAME_LINE_PX = 3.0  # two predictions of a cell closer than this are one line; about three times the detector's jitter
+START_GAP_PX = 2.0  # segments of one column that are farther apart start different lines; twins are merged later
+TWIN_PX = 2.5  # lines that stay closer than this are one; labels keep 3 px between lines
 JOIN_TOLERANCE_PX = 3.0  # vertical distance within which a segment lies on a line
 JOIN_GROWTH = 0.03  # extra tolerance per pixel between the segment and the known part of the line
 JOIN_LIMIT_PX = 6.0
+SLOPE_PRIOR = 2500.0  # weight of the expected slope: jitter of 1 px against a spread of slopes of 0.02, squared
 MAX_SLOPE = 3.0  # steeper than any stair line that a camera within 60 degrees of roll can see
 MAX_ITERATIONS = 5
 SHORT_SEGMENT_PX = 8.0  # a segment this short says half of what its neighbours say about its slope
@@ -149,7 +152,7 @@ class _Clusters:
         at = np.broadcast_to(np.asarray(at_x, dtype=np.float64), chosen.shape)
         height = self.middle_y[chosen] + self.slope[chosen] * (at - self.middle_x[chosen])
         order = np.lexsort((height, at))
-        apart = (np.diff(height[order]) > JOIN_TOLERANCE_PX) | (np.diff(at[order]) != 0.0)
+        apart = (np.diff(height[order]) > START_GAP_PX) | (np.diff(at[order]) != 0.0)
         self.label[chosen[order]] = len(self.k) + np.concatenate([[0], np.cumsum(apart)])
         self.refit()
 
@@ -165,15 +168,32 @@ class _Clusters:
         mean_x = np.bincount(label, weight * x, count) / total
         mean_y = np.bincount(label, weight * y, count) / total
         dx, dy = x - mean_x[label], y - mean_y[label]
-        # The prior only matters to a line of one short segment, whose own slope is noise.
-        prior = SHORT_SEGMENT_PX**2 / 2.0
-        spread = np.bincount(label, weight * dx * dx, count) + prior
-        slope = (np.bincount(label, weight * dx * dy, count) + prior * self.common_slope) / spread
-        self.k = np.clip(slope, -MAX_SLOPE, MAX_SLOPE)
+        spread = np.bincount(label, weight * dx * dx, count)
+        product = np.bincount(label, weight * dx * dy, count)
+        slope = self._pencil(spread, product, mean_x, mean_y)
+        self.k = np.clip((product + SLOPE_PRIOR * slope) / (spread + SLOPE_PRIOR), -MAX_SLOPE, MAX_SLOPE)
         self.b = mean_y - self.k * mean_x
         self.low, self.high = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(self.low, label, x)
         np.maximum.at(self.high, label, x)
+
+    def _pencil(self, spread: np.ndarray, product: np.ndarray, mean_x: np.ndarray, mean_y: np.ndarray) -> np.ndarray:
+        """The slope that each line should have, all (m,): parallel lines in space meet in one point of the image.
+
+        Slope is then affine in the height at which a line crosses the middle of the image. It serves as a prior, which
+        only matters to lines of few segments, whose own slope is noise.
+        """
+        long = spread > SLOPE_PRIOR
+        if long.sum() < 3:
+            return np.full(len(spread), self.common_slope)
+        own = product[long] / spread[long]
+        at_middle = mean_y + self.common_slope * (NETWORK_SIZE_PX / 2.0 - mean_x)
+        weight = spread[long]
+        centre, mean_slope = np.average(at_middle[long], weights=weight), np.average(own, weights=weight)
+        dy = at_middle[long] - centre
+        # The constant keeps few and close lines from being extrapolated.
+        trend = (weight * dy * (own - mean_slope)).sum() / ((weight * dy * dy).sum() + 1e3 * weight.mean())
+        return mean_slope + trend * (at_middle - centre)
 
     def nearest(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The line nearest to each chosen segment, and whether the segment lies on it; both (c,)."""
@@ -252,7 +272,7 @@ def _are_twins(a: np.ndarray, b: np.ndarray) -> bool:
     low, high = max(a[0], b[0]), min(a[2], b[2])
     if low > high:  # side by side: compare across the gap
         low, high = high, low
-    return all(abs((a[4] - b[4]) * x + a[5] - b[5]) <= SAME_LINE_PX for x in (low, high))
+    return all(abs((a[4] - b[4]) * x + a[5] - b[5]) <= TWIN_PX for x in (low, high))
 
 
 def _join(a: np.ndarray, b: np.ndarray) -> np.ndarray:

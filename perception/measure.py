@@ -23,6 +23,7 @@ from stair_env.camera.colour_error import ColourErrorModel
 from stair_env.camera.depth_error import DepthErrorConfig, DepthErrorModel
 from stair_env.camera.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.camera.labels import LineLabel, visible_edges
+from stair_env.camera.renderers.base import Frame
 from stair_env.camera.renderers.factory import make_renderer
 from stair_env.imu import Imu, ImuConfig
 from stair_env.paper_stairs import PAPER_STAIRS, PaperStair
@@ -38,9 +39,10 @@ DISTANCE_M = (0.6, 1.8)  # from the first line, horizontally
 HEIGHT_M = (0.45, 1.4)  # of the lens above the floor: a robot's head to a hand
 PITCH_RAD = ROLL_RAD = math.radians(5.0)  # about looking at the middle of the three steps, and about level
 YAW_RAD = math.radians(20.0)
-SIGHT_MARGIN = 1.15  # going down, the line of sight is at least this much steeper than the stairs
+SIGHT_MARGIN = 1.1  # going down, the line of sight is at least this much steeper than the stairs
 EDGE_MARGIN_PX = 8.0  # of a line from the upper and lower edge of the image, for the pose to count
 POSE_TRIES = 400
+SHOT_TRIES = 100
 SCALE_BIAS = 0.005  # a calibrated unit
 SCALE_BIAS_UNCALIBRATED = 0.02  # data sheet
 IMU_SAMPLES = 60  # a quarter of a second at rest
@@ -178,14 +180,12 @@ def _steps_in_view(profile: StairProfile, ascending: bool, pose: np.ndarray, int
 
 
 def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics) -> Shot:
-    """One frame of a scene from a random pose, with the errors of one random D435i."""
-    pose = draw_pose(spec, rng, intrinsics)
-    renderer = make_renderer("raycast", scene)
-    try:
-        frame = renderer.render(intrinsics, pose)
-    finally:
-        renderer.close()
-    labels = visible_edges(scene.edges, intrinsics, pose, frame)
+    """One frame of a scene from a random pose, with the errors of one random D435i.
+
+    Raises:
+        ValueError: no pose is found from which every line of the measured steps is seen.
+    """
+    pose, frame, labels = _frame_with_steps(spec, scene, rng, intrinsics)
     depth_model, colour_model = DepthErrorModel(DepthErrorConfig(scale_bias_range=SCALE_BIAS)), ColourErrorModel()
     depth_model.reset(rng)
     colour_model.reset(rng)
@@ -204,6 +204,26 @@ def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsi
         camera_x=float(pose[0, 3]),
         yaw_rad=-math.atan2(float(forward[1]), float(forward[0])),
     )
+
+
+def _frame_with_steps(
+    spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics
+) -> tuple[np.ndarray, Frame, list[LineLabel]]:
+    """Pose, frame and labels; every line that bounds the measured steps is in view, clear of its neighbours."""
+    steps = range(MEASURED_STEPS)
+    needed = {("convex", step) for step in steps}
+    needed |= {("concave", step) for step in steps} if spec.direction == "up" else {("convex", MEASURED_STEPS)}
+    renderer = make_renderer("raycast", scene)
+    try:
+        for _ in range(SHOT_TRIES):
+            pose = draw_pose(spec, rng, intrinsics)
+            frame = renderer.render(intrinsics, pose)
+            labels = visible_edges(scene.edges, intrinsics, pose, frame)
+            if needed <= {(label.kind, label.step) for label in labels}:
+                return pose, frame, labels
+    finally:
+        renderer.close()
+    raise ValueError(f"found no pose with every line of the {MEASURED_STEPS} nearest steps of {spec} in view")
 
 
 def dress(spec: StairSpec, lighting: Literal["day", "night"], rng: np.random.Generator) -> SceneSpec:

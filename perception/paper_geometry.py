@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from perception.estimate import Nosing, StepMeasurement
-from perception.geometry import DOWN, MIN_SUPPORT, OMEGA_M, UP, Geometry, attitude_angles
+from perception.geometry import MIN_SUPPORT, OMEGA_M, Geometry, attitude_angles
+from perception.section import DOWN, UP
 from stair_env.camera.intrinsics import Intrinsics
 
 SAMPLES_PER_SIDE = 4
