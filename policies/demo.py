@@ -11,16 +11,12 @@ import gymnasium as gym
 import numpy as np
 
 from policies import pretrained
+from policies.film import Film, open_video
 from policies.make_env import PERCEPTION_ID, make_env
 from policies.rollout import Episode, run_episode
 from policies.statistics import root_mean_square
-from policies.video import FAINT, TEXT, compose, measurement_words
-from stair_env.provenance import atomic_path
-from stair_env.simulation import CONTROL_RATE_HZ
 from stair_env.stairs import check_choice
 
-STEPS_PER_FRAME = 4  # 12 frames a second: the robot's camera takes 15
-HOLD_FRAMES = 8  # of the last picture of a flight
 LIGHTINGS = {"day": ("day",), "night": ("night",), "both": ("day", "night")}
 DIRECTIONS = {"up": ("up",), "down": ("down",), "both": ("up", "down")}
 
@@ -80,26 +76,19 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
     Raises:
         ValueError: no such policy or robot, or the policy does not fit.
     """
-    import imageio.v2 as imageio
-
     policy_name = config.policy or config.robot
     pretrained.locate(policy_name)
     video = Path(folder) / "demo.mp4"
     seeds = np.random.SeedSequence(config.seed).generate_state(config.episodes)
     flights: list[dict[str, Any]] = []
     episodes: list[Episode] = []
-    with (
-        atomic_path(video) as temporary,
-        imageio.get_writer(
-            temporary, fps=CONTROL_RATE_HZ / STEPS_PER_FRAME, codec="libx264", quality=7, macro_block_size=16
-        ) as writer,
-    ):
+    with open_video(video) as writer:
         for index in range(config.episodes):
             setting = config.flight(index)
             title = f"flight {index + 1} of {config.episodes}: {setting['direction']}, {setting['lighting']}"
             env = _make_env(config, setting)
             try:
-                film = _Film(env, writer, title, on_step)
+                film = Film(env, writer, title, on_step)
                 policy = pretrained.load(policy_name, env)
                 episode = run_episode(env, policy, int(seeds[index]), on_step=film.add)
                 film.finish(episode)
@@ -137,47 +126,3 @@ def _make_env(config: DemoConfig, setting: Mapping[str, Any]) -> gym.Env:
 def _describe(episode: Episode) -> dict[str, Any]:
     kept = ("seed", "success", "steps_climbed", "num_steps", "control_steps", "termination")
     return {name: value for name, value in asdict(episode).items() if name in kept}
-
-
-class _Film:
-    """Takes a picture every few control steps."""
-
-    def __init__(self, env: gym.Env, writer: Any, title: str, on_step: Callable[[], None] | None) -> None:
-        self._env, self._writer, self._title, self._on_step = env, writer, title, on_step
-        self._steps = 0
-        self._last: tuple[Mapping[str, Any], Mapping[str, Any]] | None = None
-
-    def add(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
-        if self._steps % STEPS_PER_FRAME == 0:
-            self._writer.append_data(self._picture(observation, info))
-        self._last = (observation, info)
-        self._steps += 1
-        if self._on_step:
-            self._on_step()
-
-    def finish(self, episode: Episode) -> None:
-        """Hold the last picture with the outcome."""
-        assert self._last is not None
-        outcome = "arrived" if episode.success else f"ended by {episode.termination}"
-        picture = self._picture(*self._last, outcome)
-        for _ in range(HOLD_FRAMES):
-            self._writer.append_data(picture)
-
-    def _picture(self, observation: Mapping[str, Any], info: Mapping[str, Any], outcome: str = "") -> np.ndarray:
-        truth = info["truth"]
-        first = [
-            (self._title, TEXT),
-            (f"step {info['steps_climbed']} of {truth['num_steps']}", FAINT),
-            (outcome, TEXT),
-        ]
-        onlooker: Any = self._env.render()
-        return compose(onlooker, self._camera_view(), [first, measurement_words(observation["stair"], truth)])
-
-    def _camera_view(self) -> np.ndarray:
-        """The newest camera frame with the lines found in it."""
-        from perception.drawing import draw_estimate
-
-        reading = self._env.get_wrapper_attr("last_reading")
-        estimate = self._env.get_wrapper_attr("last_estimate")
-        drawn: np.ndarray = draw_estimate(reading.rgb, estimate)
-        return drawn

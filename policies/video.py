@@ -23,11 +23,12 @@ MM = 1000.0
 Word = tuple[str, tuple[int, int, int]]
 
 
-def compose(onlooker: np.ndarray, camera: np.ndarray, caption: Sequence[Sequence[Word]]) -> np.ndarray:
+def compose(onlooker: np.ndarray, camera: np.ndarray | None, caption: Sequence[Sequence[Word]]) -> np.ndarray:
     """Two pictures side by side over a caption.
 
     Args:
-        onlooker, camera: uint8 (H, W, 3), any size; each is fitted into its panel without distortion.
+        onlooker, camera: uint8 (H, W, 3), any size; each is fitted into its panel without distortion. Without a
+            camera its panel stays dark.
         caption: up to two lines of coloured words.
 
     Returns:
@@ -36,7 +37,8 @@ def compose(onlooker: np.ndarray, camera: np.ndarray, caption: Sequence[Sequence
     width, height = PANEL_SIZE
     frame = np.full((height + CAPTION_HEIGHT, 2 * width, 3), BACKGROUND, np.uint8)
     frame[:height, :width] = fit(onlooker, PANEL_SIZE)
-    frame[:height, width:] = fit(camera, PANEL_SIZE)
+    if camera is not None:
+        frame[:height, width:] = fit(camera, PANEL_SIZE)
     for row, words in enumerate(caption):
         _write(frame, words, (14, height + 26 + row * LINE_HEIGHT))
     return frame

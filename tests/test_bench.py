@@ -6,7 +6,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from stair_env.cli import bench, bench_rows
+from stair_env.cli import bench, bench_perception, bench_rows
 from stair_env.env import StairClimbEnv
 
 
@@ -45,3 +45,27 @@ def test_both_cameras_look_the_same_way(eye: tuple[float, float, float]) -> None
 
 def test_worker_memory_is_measured_in_a_fresh_process() -> None:
     assert 10.0 < bench_rows._memory_mb("kept = b'x'") < bench_rows._memory_mb("kept = b'x' * 50_000_000")
+
+
+def test_naive_lines_are_the_true_ones() -> None:
+    from perception.labels import encode_grid
+
+    true = np.array([[20.0, 100.0, 490.0, 120.0], [10.0, 200.0, 500.0, 200.0], [40.0, 330.0, 470.0, 300.0]])
+    grid = encode_grid(true)
+    found = bench_perception.naive_lines(grid.cls, grid.loc)
+    assert len(found) == 3
+    assert np.abs(found[np.argsort(found[:, 1]), :4] - true).max() < 1.0
+
+
+def test_tiny_picture_measures_metres() -> None:
+    from stair_env.camera.intrinsics import Intrinsics
+    from stair_env.camera.renderers.base import look_at
+    from stair_env.scene import Shape
+
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        bench_rows.add_visuals(client, [Shape("box", (2.5, 0.0, 1.0), (0.5, 3.0, 3.0))])
+        rgb, depth = bench_rows.tiny_picture(client, look_at((0, 0, 1), (1, 0, 1)), Intrinsics(64, 48, 50, 50, 32, 24))
+    finally:
+        pybullet.disconnect(client)
+    assert rgb.shape == (48, 64, 3) and depth[24, 32] == pytest.approx(2.0, abs=0.01)

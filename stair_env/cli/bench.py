@@ -6,7 +6,16 @@ import argparse
 
 from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
 
-NAMES = ("env-step", "camera-frame", "worker-memory")
+NAMES = (
+    "env-step",
+    "camera-frame",
+    "worker-memory",
+    "onnx-0.25",
+    "onnx-1",
+    "after-network",
+    "perceived-frame",
+    "batch",
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from stair_env.camera.intrinsics import Intrinsics
+from stair_env.cli import bench_perception
+from stair_env.scene import Shape
 from stair_env.timing import Row, seconds_per_call, time_pair
 
 EPISODE_STEPS = 96  # two seconds of walking
 FRAME_SIZE = 512  # what StairNetV2 looks at
 MEGABYTE = 1e6
+NEAR_M, FAR_M = 0.05, 20.0  # of TinyRenderer's pictures
 
 _OURS_IN_MEMORY = """
 import gymnasium, stair_env
@@ -114,7 +118,6 @@ def camera_frame(rounds: int) -> Row:
     """A D435i frame with every error, ray-cast, against a bare TinyRenderer picture of the same solids."""
     import pybullet
 
-    from stair_env.camera.intrinsics import Intrinsics
     from stair_env.camera.renderers import make_renderer
     from stair_env.camera.renderers.base import look_at
     from stair_env.camera.sensor import CameraConfig, RgbdCamera
@@ -129,27 +132,52 @@ def camera_frame(rounds: int) -> Row:
     camera.intrinsics = intrinsics
     clock = iter(range(10**9))
     client = pybullet.connect(pybullet.DIRECT)
-    for shape in scene.shapes:
-        visual = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=shape.size, physicsClientId=client)
-        pybullet.createMultiBody(0, -1, visual, shape.position, shape.orientation, physicsClientId=client)
-    view = _opengl_view(pose)
-    projection = pybullet.computeProjectionMatrixFOV(69.0, 1.0, 0.05, 20.0)
-
-    def theirs() -> Any:
-        return pybullet.getCameraImage(
-            FRAME_SIZE, FRAME_SIZE, view, projection, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client
-        )
+    add_visuals(client, scene.shapes)
 
     try:
         return time_pair(
             "camera frame 512x512 with all errors / bare TinyRenderer",
             seconds_per_call(lambda: camera.step(float(next(clock)), pose), 3),
-            seconds_per_call(theirs),
+            seconds_per_call(lambda: tiny_picture(client, pose, intrinsics)),
             rounds=rounds,
             target=10.0,
         )
     finally:
         pybullet.disconnect(client)
+
+
+def add_visuals(client: int, shapes: Sequence[Shape]) -> None:
+    """Put solids into a bare PyBullet world, to be looked at only."""
+    import pybullet
+
+    for shape in shapes:
+        if shape.kind == "box":
+            visual = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=shape.size, physicsClientId=client)
+        elif shape.kind == "sphere":
+            visual = pybullet.createVisualShape(pybullet.GEOM_SPHERE, radius=shape.size[0], physicsClientId=client)
+        else:
+            kind = pybullet.GEOM_CYLINDER if shape.kind == "cylinder" else pybullet.GEOM_CAPSULE
+            length = 2 * shape.size[1]
+            visual = pybullet.createVisualShape(kind, radius=shape.size[0], length=length, physicsClientId=client)
+        pybullet.createMultiBody(0, -1, visual, shape.position, shape.orientation, physicsClientId=client)
+
+
+def tiny_picture(client: int, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """TinyRenderer's colour uint8 (H, W, 3) and depth float32 (H, W) in metres, with little around it."""
+    import pybullet
+
+    width, height = intrinsics.width, intrinsics.height
+    field_of_view = float(np.degrees(2 * np.arctan(height / 2 / intrinsics.fy)))
+    _, _, colour, depth, _ = pybullet.getCameraImage(
+        width,
+        height,
+        _opengl_view(camera_to_world),
+        pybullet.computeProjectionMatrixFOV(field_of_view, width / height, NEAR_M, FAR_M),
+        renderer=pybullet.ER_TINY_RENDERER,
+        physicsClientId=client,
+    )
+    metres = FAR_M * NEAR_M / (FAR_M - (FAR_M - NEAR_M) * np.asarray(depth, np.float32).reshape(height, width))
+    return np.asarray(colour, np.uint8).reshape(height, width, 4)[..., :3].copy(), metres
 
 
 def _opengl_view(camera_to_world: np.ndarray) -> list[float]:
@@ -175,4 +203,9 @@ ROWS: dict[str, Callable[[int], Row]] = {
     "env-step": env_step,
     "camera-frame": camera_frame,
     "worker-memory": worker_memory,
+    "onnx-0.25": lambda rounds: bench_perception.onnx_against_torch(rounds, 0.25, 2.0),
+    "onnx-1": lambda rounds: bench_perception.onnx_against_torch(rounds, 1.0, 1.6),
+    "after-network": bench_perception.after_the_network,
+    "perceived-frame": bench_perception.perceived_frame,
+    "batch": bench_perception.batched_frames,
 }
