@@ -7,12 +7,14 @@ between sources is what the robot was told and nothing else.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import multiprocessing
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -105,6 +107,9 @@ class EvaluationConfig:
             raise ValueError("blind_policy=None: source 'blind' needs a policy trained with stair_source='blind'")
 
 
+Records = dict[tuple[str, int], list[Episode]]
+
+
 @dataclass(frozen=True)
 class Job:
     """Some episodes of one cell with one source."""
@@ -119,6 +124,11 @@ class Job:
 
 
 def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> dict[str, Any]:
+    """Run all episodes and tabulate them; see `run_all` and `tabulate`."""
+    return tabulate(config, run_all(config, on_done))
+
+
+def run_all(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> Records:
     """Run all episodes.
 
     Args:
@@ -126,30 +136,70 @@ def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = N
         on_done: called with the number of episodes just finished.
 
     Returns:
-        `cells` and `overall` as `stair-env evaluate --json` writes them.
+        Episodes by source and index of the cell, in the order of their seeds.
 
     Raises:
         ValueError: a policy cannot be loaded or does not fit.
         concurrent.futures.process.BrokenProcessPool: a worker died.
     """
     cells = make_cells(config.stairs, config.directions)
-    jobs = plan_jobs(config, cells)
-    records: dict[tuple[str, int], list[Episode]] = {}
-    for job, episodes in _run_jobs(jobs, config.workers):
-        records.setdefault((job.source, job.cell_index), []).extend(episodes)
+    found: dict[tuple[str, int], dict[int, Episode]] = {}
+    for job, episodes in _run_jobs(plan_jobs(config, cells), config.workers):
+        found.setdefault((job.source, job.cell_index), {}).update((episode.seed, episode) for episode in episodes)
         if on_done:
             on_done(len(episodes))
+    return {
+        (source, index): [found[source, index][seed] for seed in episode_seeds(config.seed, index, config.episodes)]
+        for source in config.sources
+        for index in range(len(cells))
+    }
+
+
+def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
+    """`cells` and `overall` as `stair-env evaluate --json` writes them."""
+    cells = make_cells(config.stairs, config.directions)
     mass = get_robot(config.robot).mass
-    rows = []
-    for source in config.sources:
-        for index, cell in enumerate(cells):
-            episodes = sorted(records[source, index], key=lambda episode: episode.seed)
-            rows.append(_describe_cell(source, cell) | summarise(episodes, SOURCES[source].perceived, mass))
+    rows = [
+        _describe_cell(source, cells[index]) | summarise(episodes, SOURCES[source].perceived, mass)
+        for (source, index), episodes in records.items()
+    ]
     overall = {}
     for source in config.sources:
         everything = [episode for index in range(len(cells)) for episode in records[source, index]]
         overall[source] = summarise(everything, SOURCES[source].perceived, mass)
     return {"cells": rows, "overall": overall}
+
+
+def film_chosen(config: EvaluationConfig, records: Records, folder: Path | str) -> list[Path]:
+    """Film, for each source, the first episode that failed and the first that succeeded.
+
+    Args:
+        config: of the evaluation.
+        records: what `run_all` returned.
+        folder: gets `SOURCE_success.mp4` and `SOURCE_failure.mp4`.
+
+    Returns:
+        The videos.
+    """
+    from policies.film import Film, open_video
+
+    cells, videos = make_cells(config.stairs, config.directions), []
+    with contextlib.closing(_Worker()) as worker:
+        for job in plan_jobs(config, cells):
+            for seed in job.seeds:
+                episode = next(e for e in records[job.source, job.cell_index] if e.seed == seed)
+                path = Path(folder) / f"{job.source}_{'success' if episode.success else 'failure'}.mp4"
+                if path in videos:
+                    continue
+                videos.append(path)
+                filmed = dataclasses.replace(job, env_kwargs={**job.env_kwargs, "render_mode": "rgb_array"})
+                env, policy = worker.prepare(filmed)
+                cell = cells[job.cell_index]
+                title = f"{job.source}, {cell.direction} {cell.name or cell.riser_height}"
+                with open_video(path) as writer:
+                    film = Film(env, writer, title)
+                    film.finish(run_episode(env, policy, seed, options=job.options, on_step=film.add))
+    return videos
 
 
 def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
@@ -234,9 +284,12 @@ class _Worker:
         self._env: gym.Env | None = None
         self._policies: dict[str, Predictor] = {}
 
-    def run(self, job: Job) -> list[Episode]:
+    def prepare(self, job: Job) -> tuple[gym.Env, Predictor]:
         env = self._environment(job)
-        policy = self._policy(job.policy, env)
+        return env, self._policy(job.policy, env)
+
+    def run(self, job: Job) -> list[Episode]:
+        env, policy = self.prepare(job)
         return [run_episode(env, policy, seed, options=job.options) for seed in job.seeds]
 
     def _environment(self, job: Job) -> gym.Env:

@@ -41,7 +41,7 @@ class Film:
         on_step: called after each control step.
     """
 
-    def __init__(self, env: gym.Env, writer: Any, title: str, on_step: Callable[[], None] | None) -> None:
+    def __init__(self, env: gym.Env, writer: Any, title: str, on_step: Callable[[], None] | None = None) -> None:
         self._env, self._writer, self._title, self._on_step = env, writer, title, on_step
         self._steps = 0
         self._last: tuple[Mapping[str, Any], Mapping[str, Any]] | None = None

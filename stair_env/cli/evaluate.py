@@ -48,6 +48,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw success over risers and treads as PNG")
+    parser.add_argument(
+        "--film", type=Path, metavar="FOLDER", help="film the first failure and the first success of each source"
+    )
     add_common_arguments(parser)
 
 
@@ -74,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
     )
     _check_policies(config)
     with progress_bar(evaluation.count_episodes(config), "evaluate", unit="episode") as bar:
-        results = evaluation.evaluate(config, bar.update)
+        records = evaluation.run_all(config, bar.update)
+    results = evaluation.tabulate(config, records)
     print(format_table(results))
     if args.json:
         settings = {name: getattr(args, name) for name in ("robot", "stairs", "lighting", "env_kwargs")}
@@ -84,6 +88,9 @@ def run(args: argparse.Namespace) -> int:
         from policies.figures import draw_success
 
         draw_success(results["cells"], args.figure)
+    if args.film:
+        for video in evaluation.film_chosen(config, records, args.film):
+            print(f"video: {video}")
     return 0
 
 

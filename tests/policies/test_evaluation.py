@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from policies.evaluation import SOURCES, EvaluationConfig, count_episodes, episode_seeds, evaluate, plan_jobs, summarise
+from policies.evaluation import (
+    SOURCES,
+    EvaluationConfig,
+    count_episodes,
+    episode_seeds,
+    evaluate,
+    film_chosen,
+    plan_jobs,
+    run_all,
+    summarise,
+)
+from policies.film import HOLD_FRAMES
 from policies.make_env import CLIMB_ID, make_env
 from policies.rollout import Episode, ZeroAction, run_episode
 from policies.stair_sets import make_cells
@@ -115,6 +127,17 @@ def test_summary_counts() -> None:
 def test_wrong_configuration_is_named(change: dict[str, Any], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         EvaluationConfig(**{"sources": ("gait",), **change})
+
+
+def test_film_shows_the_episodes_that_were_counted(tmp_path: Path) -> None:
+    import imageio.v2 as imageio
+
+    config = EvaluationConfig(sources=("gait",), stairs="random", directions=("up",), episodes=2, env_kwargs=SHORT)
+    records = run_all(config)
+    videos = film_chosen(config, records, tmp_path)
+    assert [path.name for path in videos] == ["gait_failure.mp4"]
+    with imageio.get_reader(videos[0]) as reader:
+        assert reader.count_frames() == 6 + HOLD_FRAMES  # steps 0, 4 .. 20, then the outcome
 
 
 @pytest.mark.slow
