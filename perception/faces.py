@@ -20,8 +20,8 @@ import numpy as np
 from perception.face_kinds import RISER, TREAD, UNKNOWN, Candidate, choose_kinds
 from stair_env.camera.intrinsics import Intrinsics
 
-COLUMN_BANDS = 36  # samples across a strip: the paper's nine sampling points, four columns each
-ROW_SAMPLES = 14  # samples between two lines
+COLUMN_BANDS = 27  # samples across a strip: the paper's nine sampling points, three columns each
+ROW_SAMPLES = 8  # samples between two lines
 EDGE_MARGIN_PX = 3.0  # flying pixels (about 2) and jitter of the line (about 1)
 EDGE_MARGIN_FRACTION = 0.25  # of a strip too thin for the whole margin
 OUTER_STRIP = 0.22  # height of the strips beyond the first and last line, fraction of the image height
@@ -34,7 +34,7 @@ PATCH_PX = 28.0  # side of an image patch that counts as one reading: stereo mat
 PATCH_IMAGE_WIDTH_PX = 640.0  # of the image for which PATCH_PX holds
 ROBUST_CUT = 3.0  # residuals beyond this many standard deviations carry no weight
 MIN_POINTS = 24
-ITERATIONS = 4
+ITERATIONS = 2
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,154 @@
+"""The camera in the place of the oracle: RGB-D observations in, the stair block out.
+
+`PerceptionWrapper` reads nothing but what a robot's computer would: joints and contacts through the proprioceptive
+block, the IMU, colour and depth, and the camera's time stamps. What it makes of them goes into the observation and
+back to the environment, whose gait reads the same block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from perception.attitude import CameraAttitude
+from perception.estimate import StairEstimate
+from perception.estimator import StairEstimator
+from perception.tracker import StairTracker, mounted_camera_to_base, place_camera
+from stair_env.camera.intrinsics import Intrinsics
+from stair_env.observation import PROPRIO_SLICES, StairBlock, stair_space
+from stair_env.robots import RobotSpec
+
+NEEDED_KEYS = ("proprio", "imu", "rgb", "depth")
+GRAVITY_MEMORY = 96  # control steps: longer than the camera's latency
+
+
+class StairPerception:
+    """Everything between a robot's sensors and the stair block, for one robot.
+
+    Args:
+        robot: supplies hips and camera mount.
+        intrinsics: of the camera's images.
+        tracker: of your own configuration; None makes one.
+    """
+
+    def __init__(self, robot: RobotSpec, intrinsics: Intrinsics, tracker: StairTracker | None = None) -> None:
+        self.intrinsics = intrinsics
+        self.tracker = tracker if tracker is not None else StairTracker(robot.hip_x[0])
+        self._camera_to_base = mounted_camera_to_base(robot)
+        self._attitude = CameraAttitude()
+        self.reset(0.0)
+
+    def reset(self, time_s: float) -> None:
+        """Begin an episode."""
+        self._attitude.reset()
+        self.tracker.reset(time_s)
+        self._gravity: deque[tuple[float, np.ndarray]] = deque(maxlen=GRAVITY_MEMORY)
+        self._last_frame: int | None = None
+        self.estimate = StairEstimate(valid=False, reason="no frame yet")
+
+    def feel(self, proprio: np.ndarray, imu: np.ndarray, time_s: float) -> None:
+        """Take one control step's body sensors in.
+
+        Args:
+            proprio: `stair_env.observation.PROPRIO_FIELDS`.
+            imu: (k, 6) accelerometer and gyro samples in the camera frame, oldest first.
+            time_s: now.
+        """
+        self._gravity.append((time_s, self._attitude.update(imu)))
+        velocity = proprio[PROPRIO_SLICES["velocity"]]
+        yaw_rate = float(proprio[PROPRIO_SLICES["yaw_rate"]][0])
+        self.tracker.advance(time_s, float(velocity[0]), float(velocity[1]), yaw_rate)
+
+    def is_new(self, frame: int) -> bool:
+        """Whether a frame of this number has not been looked at yet."""
+        return frame != self._last_frame
+
+    def gravity_at(self, time_s: float) -> np.ndarray:
+        """(3,) gravity in the camera frame at an earlier time, m/s^2."""
+        return min(self._gravity, key=lambda entry: abs(entry[0] - time_s))[1]
+
+    def look(self, estimate: StairEstimate, frame: int, captured_at_s: float) -> None:
+        """Take the estimate of a frame in."""
+        self._last_frame, self.estimate = frame, estimate
+        camera = place_camera(self._camera_to_base, self.gravity_at(captured_at_s))
+        self.tracker.observe(estimate, captured_at_s, camera)
+
+    def block(self) -> StairBlock:
+        """The stair block for now."""
+        return self.tracker.block()
+
+
+class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray], np.ndarray]):
+    """Turns `StairClimbRGBD-v0` into an environment with the spaces of `StairClimb-v0`.
+
+    `info["perceived"]` holds the block, the last frame's estimate and its number; the truth stays under
+    `info["truth"]`, for scoring only.
+
+    Args:
+        env: an RGBD environment whose stair_source is "external".
+        estimator: None loads StairNetV2 0.25x.
+        tracker: None makes one for the environment's robot.
+
+    Raises:
+        ValueError: the environment's observations lack what perception needs.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], estimator: StairEstimator | None = None, tracker: StairTracker | None = None
+    ) -> None:
+        super().__init__(env)
+        space = env.observation_space
+        missing = [key for key in NEEDED_KEYS if not isinstance(space, spaces.Dict) or key not in space.spaces]
+        if missing:
+            raise ValueError(
+                f"PerceptionWrapper needs observations with {', '.join(NEEDED_KEYS)}; {env} lacks {missing}"
+            )
+        self.observation_space = spaces.Dict({"proprio": space["proprio"], "stair": stair_space()})
+        self.estimator = estimator if estimator is not None else StairEstimator()
+        base: Any = env.unwrapped
+        self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode, and look at its first frame."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.perception.reset(info["camera"]["time_s"])
+        return self._perceive(observation, info), info
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], SupportsFloat, bool, bool, dict[str, Any]]:
+        """One control step; the network runs when a new frame has arrived."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._perceive(observation, info), reward, terminated, truncated, info
+
+    def _perceive(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, np.ndarray]:
+        camera, perception = info["camera"], self.perception
+        perception.feel(observation["proprio"], observation["imu"], camera["time_s"])
+        if perception.is_new(camera["frame"]):
+            gravity = perception.gravity_at(camera["captured_at_s"])
+            estimate = self.estimator.estimate(observation["rgb"], observation["depth"], perception.intrinsics, gravity)
+            perception.look(estimate, camera["frame"], camera["captured_at_s"])
+        block = perception.block()
+        base: Any = self.env.unwrapped
+        base.provide_stair(block)
+        info["perceived"] = perceived_info(block, perception.estimate, camera["frame"])
+        return {"proprio": observation["proprio"], "stair": block.as_array()}
+
+
+def perceived_info(block: StairBlock, estimate: StairEstimate, frame: int) -> dict[str, Any]:
+    """What `info["perceived"]` holds: plain numbers, equal for equal rollouts."""
+    steps = estimate.steps
+    return {
+        "block": block.as_array().tolist(),
+        "frame": frame,
+        "valid": estimate.valid,
+        "direction": estimate.direction,
+        "steps_mm": [[round(1000.0 * step.width_m, 2), round(1000.0 * step.height_m, 2)] for step in steps],
+        "next_edge_m": estimate.next_edge_m,
+        "yaw_deg": math.degrees(estimate.yaw_rad),
+    }
