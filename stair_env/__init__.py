@@ -1,1 +1,30 @@
-"""Gymnasium stair climbing for legged robots with a simulated RealSense D435i."""
+"""Gymnasium stair climbing for legged robots with a simulated RealSense D435i.
+
+Importing this package registers the environments; nothing heavy is loaded until one is made.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+__version__ = "0.1.0"
+
+MAX_EPISODE_STEPS = 1200  # 25 s at 48 Hz
+_ENTRY_POINTS: dict[str, dict[str, Any]] = {
+    "stair_env/StairClimb-v0": {"entry_point": "stair_env.env:StairClimbEnv"},
+    "stair_env/StairClimbRGBD-v0": {"entry_point": "stair_env.rgbd:StairClimbRgbdEnv"},
+    "stair_env/StairClimbPerception-v0": {"entry_point": "perception.wrapper:make_perception_env"},
+}
+ENV_IDS = tuple(_ENTRY_POINTS)
+
+
+def register_envs() -> None:
+    """Register the environment ids with Gymnasium; calling it again changes nothing."""
+    for env_id, spec in _ENTRY_POINTS.items():
+        if env_id not in gymnasium.registry:
+            gymnasium.register(id=env_id, max_episode_steps=MAX_EPISODE_STEPS, **spec)
+
+
+register_envs()

@@ -23,16 +23,35 @@ TROT_OFFSETS = np.array([0.0, 0.5, 0.5, 0.0])  # FR and RL swing together
 
 
 @dataclass(frozen=True)
+class TrotStyle:
+    """How the trot is walked.
+
+    Attributes:
+        frequency_hz: full cycles per second.
+        speed_factor: on the walking speed.
+        capture_forward, capture_lateral: how far a foothold moves per unwanted velocity, seconds. Stepping to where
+            the trunk is falling catches it.
+    """
+
+    frequency_hz: float
+    speed_factor: float = 1.0
+    capture_forward: float = 0.0
+    capture_lateral: float = 0.1
+
+
+@dataclass(frozen=True)
 class GaitConfig:
     """Numbers of the trot, found by trying it without learning (docs/climbing.md).
 
     Attributes:
-        frequency_hz: full cycles per second.
+        level: style on flat ground and up stairs.
+        down: style down stairs: short, quick, slow-moving steps.
         swing_fraction: share of a leg's cycle in the air.
         flat_speed: on ground without stairs, m/s.
         clearance: of the swing's apex above the highest ground under it, metres.
         unknown_clearance: the same while no stairs have been heard of, metres.
         nosing_margin: footholds keep this far from edges, metres.
+        drop_margin: and this far behind an edge that leads down, or the shin rests on the nosing, metres.
         pitch_follow: share of the local slope that the trunk takes on.
         smoothing_s: time constant of trunk height and pitch.
         turn_gain: yaw rate per heading error, 1/s.
@@ -41,12 +60,14 @@ class GaitConfig:
         residual_smoothing: share of the new action that gets through each control step.
     """
 
-    frequency_hz: float = 2.4
+    level: TrotStyle = TrotStyle(frequency_hz=2.4)
+    down: TrotStyle = TrotStyle(frequency_hz=4.0, speed_factor=0.7, capture_forward=0.1, capture_lateral=0.2)
     swing_fraction: float = 0.5
     flat_speed: float = 0.35
     clearance: float = 0.06
     unknown_clearance: float = 0.12
     nosing_margin: float = 0.05
+    drop_margin: float = 0.09
     pitch_follow: float = 0.8
     smoothing_s: float = 0.15
     turn_gain: float = 1.5
@@ -127,6 +148,7 @@ class Gait:
         self._pitch = pitch
         self._action = np.zeros(ACTION_SIZE)
         self._heading_error = 0.0
+        self._velocity = np.zeros(2)
 
     @property
     def foothold_heights(self) -> np.ndarray:
@@ -151,14 +173,18 @@ class Gait:
         smoothing = self.config.residual_smoothing
         self._action = (1 - smoothing) * self._action + smoothing * np.clip(action, -1.0, 1.0)
         modulation = GaitAction.from_array(self._action, self.config)
+        self._velocity += (1 - math.exp(-dt / 0.1)) * (odometry_velocity[:2] - self._velocity)
         self._update_map(block, odometry_velocity, dt)
-        frequency = self.config.frequency_hz * modulation.frequency
-        speed = self._wanted_speed(block, frequency) * modulation.speed
+        style = self.config.down if self.map.direction < 0 else self.config.level
+        frequency = style.frequency_hz * modulation.frequency
+        speed = self._wanted_speed(block, frequency) * style.speed_factor * modulation.speed
         turn_rate = float(
             np.clip(self.config.turn_gain * self._heading_error, -self.config.max_turn_rate, self.config.max_turn_rate)
         )
         self._carry_feet_back(speed, turn_rate, dt)
-        self._step_feet(frequency, speed, modulation.clearance, dt)
+        unwanted = self._velocity - [speed, 0.0]
+        catch = unwanted * [style.capture_forward, style.capture_lateral]
+        self._step_feet(frequency, speed, catch, modulation.clearance, dt)
         self._follow_ground(dt)
         return self._kinematics.joint_angles(self._feet_in_base(modulation.pitch) + modulation.feet)
 
@@ -190,7 +216,7 @@ class Gait:
         """Half a tread per footstep on stairs, so that each tread is used twice."""
         if block.valid >= 0.5 and block.edge_distance < 0.5:
             return min(frequency * block.step_width / 2, 1.2 * self.config.flat_speed)
-        return self.config.flat_speed * frequency / self.config.frequency_hz
+        return self.config.flat_speed
 
     def _carry_feet_back(self, speed: float, turn_rate: float, dt: float) -> None:
         """The walking frame moves on; what is fixed to the ground moves back in it."""
@@ -200,7 +226,9 @@ class Gait:
             points[:, 0] -= speed * dt
             points[:, :2] = points[:, :2] @ rotation.T
 
-    def _step_feet(self, frequency: float, speed: float, extra_clearance: float, dt: float) -> None:
+    def _step_feet(
+        self, frequency: float, speed: float, catch: np.ndarray, extra_clearance: float, dt: float
+    ) -> None:
         self.phase = (self.phase + frequency * dt) % 1.0
         leg_phase = (self.phase + TROT_OFFSETS) % 1.0
         progress = leg_phase / self.config.swing_fraction
@@ -208,33 +236,39 @@ class Gait:
         for leg in range(4):
             if swings[leg]:
                 if not self._in_swing[leg]:
-                    self._lift(leg, frequency, speed)
+                    self._lift(leg, frequency, speed, catch)
                 self._fly(leg, float(progress[leg]), extra_clearance)
             elif self._in_swing[leg]:
                 self._feet[leg] = self._landing[leg]
         self._in_swing = swings
 
-    def _lift(self, leg: int, frequency: float, speed: float) -> None:
+    def _lift(self, leg: int, frequency: float, speed: float, catch: np.ndarray) -> None:
         """Choose the foothold: where the hip will be in the middle of the next stance."""
         swing_s = self.config.swing_fraction / frequency
         stance_s = (1 - self.config.swing_fraction) / frequency
         self._swing_start[leg] = self._feet[leg]
         landing = self._neutral[leg].copy()
         landing[0] += speed * (swing_s + stance_s / 2)
+        landing[:2] += catch
         s = float(self._along_stairs(landing[None])[0])
-        self._beyond_edge[leg] = s >= self._nearest_edge(s)
+        edge, rise = self.map.nearest_edge(s)
+        # Before a drop the foot goes to whichever side asks the smaller detour of it.
+        threshold = edge + (self._room_after(rise) - self.config.nosing_margin) / 2
+        self._beyond_edge[leg] = s >= threshold
         self._landing[leg] = landing
 
-    def _nearest_edge(self, s: float) -> float:
-        edge_s, _ = self.map.edges()
-        return float(edge_s[np.argmin(np.abs(edge_s - s))]) if len(edge_s) else -math.inf
+    def _room_after(self, rise: float) -> float:
+        return self.config.nosing_margin if rise >= 0 else self.config.drop_margin
 
     def _fly(self, leg: int, progress: float, extra_clearance: float) -> None:
         """Rise first, then travel, then settle; the foothold follows the map until late in the swing."""
         start, landing = self._swing_start[leg], self._landing[leg]
         if progress < 0.7:
             s = float(self._along_stairs(landing[None])[0])
-            clear = self.map.clear_of_edges(s, self.config.nosing_margin, bool(self._beyond_edge[leg]))
+            config = self.config
+            clear = self.map.clear_of_edges(
+                s, config.nosing_margin, config.nosing_margin, config.drop_margin, bool(self._beyond_edge[leg])
+            )
             landing[0] += clear - s
             landing[2] = self.map.heights_at(np.array([clear]))[0]
         start_s, end_s = self._along_stairs(np.stack([start, landing]))
@@ -267,11 +301,8 @@ class Gait:
         """Planned feet (4, 3) in the base frame, metres."""
         pitch = self._pitch + extra_pitch
         cos, sin = math.cos(pitch), math.sin(pitch)
-        relative = self._feet - [0.0, 0.0, self._height + self.robot.stand_height]
-        x, z = relative[:, 0].copy(), relative[:, 2].copy()
-        relative[:, 0] = cos * x - sin * z
-        relative[:, 2] = sin * x + cos * z
-        return relative
+        x, y, z = (self._feet - [0.0, 0.0, self._height + self.robot.stand_height]).T
+        return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=1)
 
 
 def _smoothstep(t: float) -> float:

@@ -133,23 +133,33 @@ class StepMap:
             return np.full(len(s), self._level_behind)
         return self._level_behind + (rise * (edge_s < s[:, None])).sum(axis=1)
 
-    def clear_of_edges(self, s: float, margin: float, prefer_above: bool | None = None) -> float:
-        """Nearest position at least `margin` from every edge.
+    def clear_of_edges(self, s: float, before: float, after: float, after_drop: float, beyond: bool) -> float:
+        """Nearest position clear of the closest edge.
 
         Args:
             s: wanted position, metres.
-            margin: metres; reduced to a third of the tread where treads are short.
-            prefer_above: force the near side (False) or the far side (True) of the edge.
+            before: distance to keep on the near side of an edge, metres.
+            after: the same on the far side of an edge that leads up.
+            after_drop: the same on the far side of an edge that leads down, where the shin needs room behind it.
+            beyond: which side of the closest edge to stay on: True for the far side.
         """
-        edge_s, _ = self.edges()
+        edge_s, rise = self.edges()
         if not len(edge_s):
             return s
-        nearest = edge_s[np.argmin(np.abs(edge_s - s))]
-        margin = min(margin, self._tread / 3)
-        if abs(s - nearest) >= margin:
-            return s
-        beyond = s >= nearest if prefer_above is None else prefer_above
-        return float(nearest + margin if beyond else nearest - margin)
+        closest = int(np.argmin(np.abs(edge_s - s)))
+        edge = edge_s[closest]
+        if beyond:
+            room = after if rise[closest] > 0 else after_drop
+            return float(max(s, edge + min(room, 0.6 * self._tread)))
+        return float(min(s, edge - min(before, 0.3 * self._tread)))
+
+    def nearest_edge(self, s: float) -> tuple[float, float]:
+        """Position and rise of the edge closest to s; an edge infinitely far behind when there is none."""
+        edge_s, rise = self.edges()
+        if not len(edge_s):
+            return -np.inf, 0.0
+        closest = int(np.argmin(np.abs(edge_s - s)))
+        return float(edge_s[closest]), float(rise[closest])
 
     def highest_between(self, start: float, end: float) -> float:
         """Highest ground on the way from start to end, metres."""
