@@ -15,7 +15,7 @@ MAX_EPISODE_STEPS = 1200  # 25 s at 48 Hz
 _ENTRY_POINTS: dict[str, dict[str, Any]] = {
     "stair_env/StairClimb-v0": {"entry_point": "stair_env.env:StairClimbEnv"},
     "stair_env/StairClimbRGBD-v0": {"entry_point": "stair_env.rgbd:StairClimbRgbdEnv"},
-    "stair_env/StairClimbPerception-v0": {"entry_point": "perception.wrapper:make_perception_env"},
+    "stair_env/StairClimbPerception-v0": {"entry_point": "perception.environment:make_perception_env"},
 }
 ENV_IDS = tuple(_ENTRY_POINTS)
 

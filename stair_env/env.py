@@ -29,7 +29,7 @@ from stair_env.odometry import LegOdometry
 from stair_env.onlooker import Onlooker
 from stair_env.rewards import RewardWeights, StepOutcome, reward_terms, riser_hits
 from stair_env.robots import NUM_JOINTS, get_robot
-from stair_env.scene import build_stair_shapes
+from stair_env.scene import Shape, build_stair_shapes
 from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
 from stair_env.sources import ExternalSource, HipPose, make_source, true_block
 from stair_env.stairs import SpecError, StairSpec, check_choice
@@ -147,7 +147,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
         seeds = self.np_random.integers(0, 2**63, size=4)
         source_rng, imu_rng, self._body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
-        self._start(spawn, friction, payload, imu_rng)
+        shapes = self._world_shapes(self.stairs, camera_rng)
+        self._start(spawn, shapes, friction, payload, imu_rng)
         self.source.reset(self.stairs, source_rng)
         self._begin_sensors(camera_rng)
         self._observe_stairs()
@@ -160,12 +161,14 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
             return drawn
         return given if isinstance(given, StairSpec) else StairSpec.from_dict(given)
 
-    def _start(self, spawn: Spawn, friction: float, payload: float, imu_rng: np.random.Generator) -> None:
+    def _start(
+        self, spawn: Spawn, shapes: tuple[Shape, ...], friction: float, payload: float, imu_rng: np.random.Generator
+    ) -> None:
         """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
         if self._sim is None:
             self._sim = Simulation(self.robot, gui=self.render_mode == "human")
         sim = self._sim
-        sim.build(self._world_shapes(), friction)
+        sim.build(shapes, friction)
         sim.set_payload(payload)
         joints = self._kinematics.joint_angles(spawn.feet_in_base)
         sim.place_robot(spawn.position, spawn.yaw, joints, spawn.pitch)
@@ -190,8 +193,9 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._next_push_s = self._draw_push_time()
         self._energy = 0.0
 
-    def _world_shapes(self) -> tuple[Any, ...]:
-        return build_stair_shapes(self.stairs)
+    def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
+        """Hook for environments with cameras, whose worlds have surroundings."""
+        return build_stair_shapes(stairs)
 
     def _begin_sensors(self, rng: np.random.Generator) -> None:
         """Hook for environments with cameras: called once the robot stands."""

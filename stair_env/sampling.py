@@ -108,6 +108,10 @@ class SceneSampler:
     def sample(self, rng: np.random.Generator) -> SceneSpec:
         """A scene; the same generator state gives the same scene."""
         stairs = None if rng.random() < self.negatives else self.sample_stairs(rng)
+        return self.sample_around(stairs, rng)
+
+    def sample_around(self, stairs: StairSpec | None, rng: np.random.Generator) -> SceneSpec:
+        """Everything else of a scene, around given stairs (None: a scene without)."""
         around = self._sample_surroundings(rng, stairs)
         room = enclosure(around, stairs)
         lighting: Lighting = self._sample_lighting(rng)

@@ -1,0 +1,138 @@
+"""The climbing environment with a D435i on the robot's head."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from stair_env.camera.intrinsics import Intrinsics
+from stair_env.camera.renderers import make_renderer
+from stair_env.camera.renderers.bullet_shapes import BodyShapes
+from stair_env.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
+from stair_env.env import StairClimbEnv
+from stair_env.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
+from stair_env.robots import CameraMount
+from stair_env.sampling import Scene, SceneSampler
+from stair_env.scene import Shape
+from stair_env.simulation import PHYSICS_RATE_HZ, SUBSTEPS, BaseState
+from stair_env.stairs import StairSpec
+
+IMU_BOUND = np.array([4 * 9.81] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
+FAR_M = 65.535  # largest distance of a 16-bit depth image in millimetres
+
+
+class StairClimbRgbdEnv(StairClimbEnv):
+    """`StairClimbEnv` whose observation holds what the camera delivers instead of the stair block.
+
+    Observation: Dict of
+        `proprio`: as in `StairClimbEnv`;
+        `imu`: (5, 6) float32, accelerometer (m/s²) and gyro (rad/s) in the camera's axes, the five samples since the
+            last control step, oldest first;
+        `rgb`: (H, W, 3) uint8, the newest frame that has arrived;
+        `depth`: (H, W) float32 metres, aligned to colour, 0 = no reading.
+    `info["camera"]` says when the frame was captured. The gait walks blind until somebody calls `provide_stair`.
+
+    Args:
+        camera: fields of `CameraConfig`, for example {"mode": "640x480", "renderer": "tiny", "depth_error": "ideal"}.
+        kwargs: see `StairClimbEnv`; stair_source is "external" unless given.
+    """
+
+    def __init__(self, camera: dict[str, Any] | None = None, **kwargs: Any) -> None:
+        kwargs.setdefault("stair_source", "external")
+        super().__init__(camera=camera, **kwargs)
+        self.camera_config = CameraConfig.from_dict(camera)
+        self.camera_intrinsics: Intrinsics = self.camera_config.intrinsics
+        height, width = self.camera_intrinsics.height, self.camera_intrinsics.width
+        bound = np.tile(IMU_BOUND, (SUBSTEPS, 1))
+        self.observation_space = spaces.Dict(
+            {
+                "proprio": self.observation_space["proprio"],
+                "imu": spaces.Box(-bound, bound, dtype=np.float32),
+                "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
+                "depth": spaces.Box(0.0, FAR_M, (height, width), np.float32),
+            }
+        )
+        self._camera: RgbdCamera | None = None
+        self._camera_to_base = mount_to_base(self.robot.camera)
+        self._scene_sampler = SceneSampler(lighting=self.lighting)  # type: ignore[arg-type]
+
+    def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
+        self.scene = Scene(self._scene_sampler.sample_around(stairs, rng))
+        return self.scene.shapes
+
+    def _begin_sensors(self, rng: np.random.Generator) -> None:
+        sim = self._sim
+        assert sim is not None
+        renderer = make_renderer(self.camera_config.renderer, self.scene, sim.client)
+        self._body_shapes = BodyShapes(sim.client, sim.body)
+        tilt = self.randomization.camera_tilt_rad
+        self._tilt = _rotation_about_x(float(rng.uniform(-tilt, tilt)))
+        if self._camera is None:
+            self._camera = RgbdCamera(self.camera_config, renderer, rng)
+        else:
+            self._camera.reset(rng, renderer)
+        self._camera_imu = Imu(ImuConfig(), rng)
+        self._camera_imu.reset(rng, 1.0 / PHYSICS_RATE_HZ)
+        self._advance_sensors()
+
+    def _advance_sensors(self) -> None:
+        assert self._camera is not None
+        pose = base_to_world(self._state) @ self._camera_to_base @ self._tilt
+        self._reading: RgbdReading = self._camera.step(self.time_s, pose, self._body_shapes.shapes)
+        mount = self._camera_to_base @ self._tilt
+        lever = mount[:3, :3] @ np.asarray(IMU_POSITION_IN_CAMERA_M) + mount[:3, 3]
+        force, rate = self._motion.at_point(lever, mount[:3, :3])
+        if len(force) < SUBSTEPS:  # at rest, before the first step
+            force = np.tile(9.81 * (mount[:3, :3].T @ self._state.rotation[2]), (SUBSTEPS, 1))
+            rate = np.zeros((SUBSTEPS, 3))
+        accelerometer, gyro = self._camera_imu.read_many(force, rate)
+        samples = np.concatenate([accelerometer, gyro], axis=1)
+        self._imu_samples = np.clip(samples, -IMU_BOUND, IMU_BOUND).astype(np.float32)
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {
+            "proprio": self._proprio(),
+            "imu": self._imu_samples.copy(),
+            "rgb": self._reading.rgb.copy(),
+            "depth": np.clip(self._reading.depth_m, 0.0, FAR_M),
+        }
+
+    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
+        info = super()._info(terms, extra)
+        info["camera"] = {
+            "frame": self._reading.frame_index,
+            "captured_at_s": self._reading.captured_at_s,
+            "time_s": self.time_s,
+        }
+        return info
+
+    def close(self) -> None:
+        """Release the physics and the camera; safe to call twice."""
+        self._camera = None
+        super().close()
+
+
+def mount_to_base(mount: CameraMount) -> np.ndarray:
+    """(4, 4) camera_to_base of a mount: optical axes x right, y down, z forward."""
+    cos, sin = np.cos(mount.pitch_down_rad), np.sin(mount.pitch_down_rad)
+    transform = np.eye(4)
+    transform[:3, :3] = np.array([[0.0, -sin, cos], [-1.0, 0.0, 0.0], [0.0, -cos, -sin]])
+    transform[:3, 3] = mount.position
+    return transform
+
+
+def base_to_world(state: BaseState) -> np.ndarray:
+    """(4, 4) pose of the base."""
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = state.rotation, state.position
+    return transform
+
+
+def _rotation_about_x(angle: float) -> np.ndarray:
+    """(4, 4) rotation about the camera's x axis."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    transform = np.eye(4)
+    transform[1:3, 1:3] = [[cos, -sin], [sin, cos]]
+    return transform
