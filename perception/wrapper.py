@@ -112,6 +112,7 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
         self.estimator = estimator if estimator is not None else StairEstimator()
         base: Any = env.unwrapped
         self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)
+        self.last_rgb: np.ndarray | None = None  # the frame that `perception.estimate` speaks of; for pictures
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -133,6 +134,7 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
             gravity = perception.gravity_at(camera["captured_at_s"])
             estimate = self.estimator.estimate(observation["rgb"], observation["depth"], perception.intrinsics, gravity)
             perception.look(estimate, camera["frame"], camera["captured_at_s"])
+            self.last_rgb = observation["rgb"]
         block = perception.block()
         base: Any = self.env.unwrapped
         base.provide_stair(block)

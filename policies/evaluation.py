@@ -195,7 +195,7 @@ def film_chosen(config: EvaluationConfig, records: Records, folder: Path | str) 
                 filmed = dataclasses.replace(job, env_kwargs={**job.env_kwargs, "render_mode": "rgb_array"})
                 env, policy = worker.prepare(filmed)
                 cell = cells[job.cell_index]
-                title = f"{job.source}, {cell.direction} {cell.name or cell.riser_height}"
+                title = " ".join(filter(None, [f"{job.source},", cell.direction, cell.name]))
                 with open_video(path) as writer:
                     film = Film(env, writer, title)
                     film.finish(run_episode(env, policy, seed, options=job.options, on_step=film.add))

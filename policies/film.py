@@ -17,7 +17,7 @@ from stair_env.simulation import CONTROL_RATE_HZ
 
 STEPS_PER_FRAME = 4  # 12 frames a second: the robot's camera takes 15
 HOLD_FRAMES = 8  # of the last picture
-READING_ATTRIBUTE, ESTIMATE_ATTRIBUTE = "last_reading", "last_estimate"  # of the perception wrapper
+FRAME_ATTRIBUTE, PERCEPTION_ATTRIBUTE = "last_rgb", "perception"  # of perception.wrapper.PerceptionWrapper
 
 
 @contextlib.contextmanager
@@ -75,11 +75,10 @@ class Film:
 
     def _camera_view(self) -> np.ndarray | None:
         """The newest camera frame with the lines found in it; None for a robot that does not look."""
-        if not self._env.has_wrapper_attr(READING_ATTRIBUTE):
+        if not self._env.has_wrapper_attr(FRAME_ATTRIBUTE):
             return None
         from perception.drawing import draw_estimate
 
-        reading = self._env.get_wrapper_attr(READING_ATTRIBUTE)
-        estimate = self._env.get_wrapper_attr(ESTIMATE_ATTRIBUTE)
-        drawn: np.ndarray = draw_estimate(reading.rgb, estimate)
+        estimate = self._env.get_wrapper_attr(PERCEPTION_ATTRIBUTE).estimate
+        drawn: np.ndarray = draw_estimate(self._env.get_wrapper_attr(FRAME_ATTRIBUTE), estimate)
         return drawn

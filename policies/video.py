@@ -12,6 +12,7 @@ from stair_env.observation import STAIR_FIELDS
 PANEL_SIZE = (640, 480)  # width, height of each of the two pictures, pixels
 CAPTION_HEIGHT = 64
 LINE_HEIGHT = 26
+FONT_SCALE = 0.52
 BACKGROUND = (24, 26, 30)
 TEXT = (235, 235, 235)
 FAINT = (150, 155, 160)
@@ -28,14 +29,15 @@ def compose(onlooker: np.ndarray, camera: np.ndarray | None, caption: Sequence[S
 
     Args:
         onlooker, camera: uint8 (H, W, 3), any size; each is fitted into its panel without distortion. Without a
-            camera its panel stays dark.
+            camera there is one panel.
         caption: up to two lines of coloured words.
 
     Returns:
-        uint8 (544, 1280, 3).
+        uint8 (544, 1280, 3), or (544, 640, 3) without a camera.
     """
     width, height = PANEL_SIZE
-    frame = np.full((height + CAPTION_HEIGHT, 2 * width, 3), BACKGROUND, np.uint8)
+    panels = 1 if camera is None else 2
+    frame = np.full((height + CAPTION_HEIGHT, panels * width, 3), BACKGROUND, np.uint8)
     frame[:height, :width] = fit(onlooker, PANEL_SIZE)
     if camera is not None:
         frame[:height, width:] = fit(camera, PANEL_SIZE)
@@ -59,8 +61,8 @@ def fit(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def _write(frame: np.ndarray, words: Sequence[Word], origin: tuple[int, int]) -> None:
     x, y = origin
     for text, colour in words:
-        cv2.putText(frame, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.58, colour, 1, cv2.LINE_AA)
-        x += cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.58, 1)[0][0] + 8
+        cv2.putText(frame, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, FONT_SCALE, colour, 1, cv2.LINE_AA)
+        x += cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, FONT_SCALE, 1)[0][0] + 8
 
 
 def measurement_words(block: np.ndarray, truth: Mapping[str, float]) -> list[Word]:

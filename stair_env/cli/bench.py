@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
+from stair_env.timing import Row
 
 NAMES = (
     "env-step",
@@ -34,9 +36,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
-    from stair_env.cli.bench_rows import ROWS
-
-    rows = [ROWS[name](args.rounds) for name in progress(args.only, description="bench")]
+    measures = all_rows()
+    rows = [measures[name](args.rounds) for name in progress(args.only, description="bench")]
     print(f"{'':<58}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
     for row in rows:
         wanted = "" if row.target is None else f">={row.target:g}"
@@ -44,3 +45,10 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
     return 0
+
+
+def all_rows() -> dict[str, Callable[[int], Row]]:
+    """Every comparison by name: a function of the number of rounds."""
+    from stair_env.cli import bench_perception, bench_rows
+
+    return {**bench_rows.ROWS, **bench_perception.ROWS}

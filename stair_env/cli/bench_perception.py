@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import functools
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stair_env.cli.bench_rows import add_visuals, tiny_picture
 from stair_env.timing import Row, seconds_per_call, time_pair
 
 CELL_WIDTH_PX, CELL_HEIGHT_PX = 32, 16
@@ -120,7 +122,6 @@ def perceived_frame(rounds: int) -> Row:
     from perception.paper_geometry import measure_stairs_as_the_paper
     from stair_env.camera.renderers import make_renderer
     from stair_env.camera.sensor import CameraConfig, RgbdCamera
-    from stair_env.cli.bench_rows import add_visuals, tiny_picture
 
     sample, onnx, interpret = sample_frame(), _onnx(0.25), _interpreter()
     frame = sample.frame
@@ -228,3 +229,12 @@ def batched_frames(rounds: int) -> Row:
         rounds=rounds,
         target=1.0,
     )
+
+
+ROWS: dict[str, Callable[[int], Row]] = {
+    "onnx-0.25": functools.partial(onnx_against_torch, width=0.25, target=2.0),
+    "onnx-1": functools.partial(onnx_against_torch, width=1.0, target=1.6),
+    "after-network": after_the_network,
+    "perceived-frame": perceived_frame,
+    "batch": batched_frames,
+}

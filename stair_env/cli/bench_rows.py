@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from stair_env.camera.intrinsics import Intrinsics
-from stair_env.cli import bench_perception
 from stair_env.scene import Shape
 from stair_env.timing import Row, seconds_per_call, time_pair
 
@@ -203,9 +202,4 @@ ROWS: dict[str, Callable[[int], Row]] = {
     "env-step": env_step,
     "camera-frame": camera_frame,
     "worker-memory": worker_memory,
-    "onnx-0.25": lambda rounds: bench_perception.onnx_against_torch(rounds, 0.25, 2.0),
-    "onnx-1": lambda rounds: bench_perception.onnx_against_torch(rounds, 1.0, 1.6),
-    "after-network": bench_perception.after_the_network,
-    "perceived-frame": bench_perception.perceived_frame,
-    "batch": bench_perception.batched_frames,
 }
