@@ -211,9 +211,8 @@ class FrameModule(L.LightningDataModule):
         return DataLoader(frames, batch, sampler=sampler, num_workers=self._workers, drop_last=len(sampler) > batch)
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        """The same frames after every epoch, spread evenly over the set."""
-        epoch = self.trainer.current_epoch if self.trainer is not None else 0
-        frames = GridFrames(self._val, None, self._size(epoch))
+        """The same frames after every epoch, spread evenly over the set, always at full size."""
+        frames = GridFrames(self._val, None)
         count = min(self._validation_frames or len(frames), len(frames))
         chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
         return DataLoader(frames, 8, sampler=chosen, num_workers=self._workers)
@@ -266,7 +265,7 @@ class StairNetTraining(L.LightningModule):
         self.log("val/iou", counts.iou, prog_bar=True)
         self.log_dict({"weights/x": self.loss_weights.x, "weights/y": self.loss_weights.y})
         if self.preset.dynamic_weights and not self.trainer.sanity_checking:
-            self.loss_weights = self.loss_weights.updated(*self._errors)
+            self.loss_weights = self.loss_weights.updated(*self._errors.tolist())
 
     def configure_optimizers(self) -> Any:
         """Adam, its rate set before every step by `on_train_batch_start`."""

@@ -13,7 +13,9 @@ def write_frame(folder, stem="a", depth=None, label="0 10 20 300 40\n", side=512
         (folder / name).mkdir(parents=True, exist_ok=True)
     rgb = np.full((side, side, 3), (200, 40, 10), np.uint8)
     cv2.imwrite(str(folder / "images" / f"{stem}.jpg"), rgb[..., ::-1])
-    cv2.imwrite(str(folder / "depthes" / f"{stem}.png"), np.full((side, side), 1500, np.uint16) if depth is None else depth)
+    cv2.imwrite(
+        str(folder / "depthes" / f"{stem}.png"), np.full((side, side), 1500, np.uint16) if depth is None else depth
+    )
     (folder / "labels" / f"{stem}.txt").write_text(label)
 
 
