@@ -132,12 +132,11 @@ def train(
     )
     try:
         write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
-        log_folder = folder / "tensorboard" if config.tensorboard else None
         if saved:
             model = _load_model(config, hyperparams, venv, saved[-1])
         else:
             model = _new_model(config, hyperparams, venv, start_from)
-        model.tensorboard_log = str(log_folder) if log_folder else None
+        _set_logging(model, folder / "tensorboard" if config.tensorboard else None)
         curve = CurveCallback(folder / CURVE_FILE)
         callbacks = [CheckpointCallback(folder / CHECKPOINT_FOLDER, config.checkpoint_every), curve]
         if show_progress:
@@ -231,6 +230,16 @@ def _load_model(
     bare.seed(int(np.random.SeedSequence([config.seed, state["num_timesteps"]]).generate_state(1)[0] >> 1))
     checkpoints.restore_curriculum(bare, state["curriculum"])
     return model
+
+
+def _set_logging(model: BaseAlgorithm, folder: Path | None) -> None:
+    """TensorBoard into the folder, or nothing: SB3's own default leaves an empty folder in /tmp for each run."""
+    from stable_baselines3.common.logger import Logger
+
+    if folder is None:
+        model.set_logger(Logger(None, []))
+    else:
+        model.tensorboard_log = str(folder)
 
 
 def _finish(config: TrainingConfig, model: BaseAlgorithm, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
