@@ -11,19 +11,9 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from policies.checkpoints import save_checkpoint
+from policies.curves import CURVE_FIELDS, LOGGED, read_curve
 from stair_env.progress import progress_bar
 
-LOGGED = ("approx_kl", "explained_variance", "value_loss", "std", "ent_coef")  # SB3's names; each algorithm has some
-CURVE_FIELDS = (
-    "timesteps",
-    "wall_s",
-    "episodes",
-    "return_mean",
-    "length_mean",
-    "success_rate",
-    "level_mean",
-    *LOGGED,
-)
 LEVEL_KEY = "curriculum_level"
 CURVE_EVERY = 4096  # environment steps: one row for each PPO rollout of 8 x 512
 
@@ -147,17 +137,6 @@ class ProgressCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._bar.close()
-
-
-def read_curve(path: Path | str) -> list[dict[str, Any]]:
-    """Rows of a learning curve, numbers as floats and missing values as ""; no file, no rows."""
-    if not Path(path).is_file():
-        return []
-    with Path(path).open(newline="", encoding="utf-8") as file:
-        return [
-            {name: float(value) if value not in ("", None) else "" for name, value in row.items()}
-            for row in csv.DictReader(file)
-        ]
 
 
 def _mean(values: list[float]) -> float | str:

@@ -11,7 +11,7 @@ import hashlib
 import io
 import json
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.checkpoints import MODEL_FILE, NORMALISATION_FILE
+from policies.curves import CURVE_FILE
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -133,17 +134,19 @@ def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS
     return loaded
 
 
-def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER) -> Path:
-    """Put a trained policy among the shipped ones and enter its hashes in the manifest.
+def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluations: Sequence[Path] = ()) -> Path:
+    """Put a trained policy among the shipped ones: files, hashes in the manifest, model card.
 
     Args:
-        folder: a run's `final/` folder.
+        folder: a run's `final/` folder; the learning curve is looked for beside it.
         name: name to ship it under.
         weights: folder of shipped policies.
+        evaluations: JSON files of `stair-env evaluate` for the model card.
 
     Raises:
         PolicyError: the folder holds no policy.
     """
+    from policies.cards import write_card
     from stair_env.provenance import atomic_path
 
     source = locate(folder, weights)
@@ -159,6 +162,8 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER) -> Path:
     manifest = {**_manifest(weights), name: hashes}
     with atomic_path(weights / MANIFEST_FILE) as temporary:
         temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    card = json.loads((target / CARD_FILE).read_text(encoding="utf-8")) if (target / CARD_FILE).is_file() else {}
+    write_card(target, name, card, source.parent / CURVE_FILE, evaluations)
     return target
 
 
@@ -222,14 +227,15 @@ def _unpickle(name: str, contents: Mapping[str, bytes], card: Mapping[str, Any])
 
 
 def _main() -> None:
-    """`python -m policies.pretrained RUN/final NAME` ships a policy."""
+    """`python -m policies.pretrained RUN/final NAME [EVALUATION.json ...]` ships a policy."""
     import argparse
 
     parser = argparse.ArgumentParser(prog="python -m policies.pretrained", description=add.__doc__)
     parser.add_argument("folder")
     parser.add_argument("name")
+    parser.add_argument("evaluations", nargs="*", type=Path)
     args = parser.parse_args()
-    print(add(args.folder, args.name))
+    print(add(args.folder, args.name, evaluations=args.evaluations))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from policies import checkpoints
+from policies.curves import CURVE_FILE
 from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from stair_env.provenance import provenance, write_json
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 LOGGER = logging.getLogger(__name__)
 
 CONFIG_FILE = "config.json"
-CURVE_FILE = "curve.csv"
 CARD_FILE = "card.json"
 FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"

@@ -53,6 +53,17 @@ def test_named_policy_acts_like_the_trained_one(weights: Path, run_folder: Path,
     assert np.array_equal(action, expected) and not np.array_equal(action, unnormalised)
 
 
+def test_model_card_tells_training_and_evaluation(run_folder: Path, tmp_path: Path) -> None:
+    (run_folder.parent / "curve.csv").write_text("timesteps,success_rate,level_mean\n100,0.5,1.0\n200,0.75,2.0\n")
+    overall = {"oracle": {"episodes": 50, "success_rate": 0.94, "ci95": [0.84, 0.98]}}
+    evaluation = tmp_path / "evaluate.json"
+    evaluation.write_text(json.dumps({"overall": overall, "robot": "aliengo", "stairs": "paper", "lighting": "day"}))
+    folder = pretrained.add(run_folder, "toy", tmp_path / "weights", [evaluation])
+    text = (folder / "README.md").read_text()
+    assert "environment steps: 128" in text and "| oracle | 50 | 0.94 | 0.84, 0.98 |" in text
+    assert "curve.png" in text and (folder / "curve.png").is_file()
+
+
 def test_batches_and_single_observations_agree(weights: Path, toy_id: str) -> None:
     env = make_env(toy_id)
     policy = pretrained.load("toy", env, weights)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from policies import checkpoints, training
-from policies.callbacks import read_curve
+from policies.curves import read_curve
 from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import ENV_IDS, make_vec_env, normalise
 

@@ -1,0 +1,75 @@
+"""Model cards of shipped policies: what they were trained on, how it went, and how well they climb."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from policies.curves import read_curve
+from policies.figures import draw_curves
+from stair_env.provenance import atomic_path
+from stair_env.results_page import format_value, markdown_table
+
+PAGE_FILE = "README.md"
+CURVE_PICTURE = "curve.png"
+EVALUATED = ("episodes", "successes", "success_rate", "ci95", "steps_climbed_fraction", "rmse_mm")
+
+
+def write_card(
+    folder: Path, name: str, card: Mapping[str, Any], curve_file: Path | None, evaluations: Sequence[Path] = ()
+) -> Path:
+    """Write a policy's README.md, with its learning curve as a picture.
+
+    Args:
+        folder: of the policy.
+        name: it is shipped under.
+        card: as training wrote it.
+        curve_file: `curve.csv` of the run, or None.
+        evaluations: JSON files of `stair-env evaluate` for this policy.
+
+    Raises:
+        ValueError: an evaluation is no result of `stair-env evaluate`.
+    """
+    parts = [f"# {name}\n", _training(card)]
+    rows = read_curve(curve_file) if curve_file else []
+    if rows:
+        draw_curves({name: rows}, folder / CURVE_PICTURE)
+        parts.append(f"![Learning curve]({CURVE_PICTURE})\n")
+    parts.extend(_evaluation(path) for path in evaluations)
+    target = folder / PAGE_FILE
+    with atomic_path(target) as temporary:
+        temporary.write_text("\n".join(parts), encoding="utf-8")
+    return target
+
+
+def _training(card: Mapping[str, Any]) -> str:
+    training = card.get("training", {})
+    facts = {
+        "algorithm": card.get("algorithm"),
+        "environment": card.get("env_id"),
+        "arguments": json.dumps(card.get("env_kwargs", {})),
+        "hyperparameters": json.dumps(card.get("hyperparams", {})),
+        "environment steps": card.get("timesteps"),
+        "wall time, s": training.get("wall_s"),
+        "success rate of the last 100 training episodes": training.get("success_rate"),
+        "curriculum level at the end, mean over environments": training.get("level_mean"),
+        "seed": card.get("seed"),
+        "commit": card.get("commit"),
+        "date": card.get("date"),
+    }
+    lines = [f"- {label}: {format_value(value)}" for label, value in facts.items() if value not in (None, "")]
+    return "## Training\n\n" + "\n".join(lines) + "\n"
+
+
+def _evaluation(path: Path) -> str:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or "overall" not in content:
+        raise ValueError(f"{path} is no result of `stair-env evaluate`: it has no 'overall'")
+    rows = [
+        {"source": source, **{key: values[key] for key in EVALUATED if key in values}}
+        for source, values in content["overall"].items()
+    ]
+    setting = f"robot {content.get('robot')}, stairs {content.get('stairs')}, {content.get('lighting')}"
+    return f"## Evaluation: {setting}\n\n{markdown_table(rows)}"
