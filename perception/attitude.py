@@ -1,7 +1,8 @@
 """Gravity in the camera frame from the D435i's accelerometer and gyro, fused.
 
-A walking robot's accelerometer feels its own steps, metres per second squared of them; with the gyro it becomes an
-attitude. The filter is `stair_env.attitude.AttitudeFilter` (x-io's imufusion).
+A walking robot's accelerometer feels its own steps, metres per second squared of them, and the direction of a single
+reading means nothing. Averaged over a stride, in the level frame that the gyro carries along, those accelerations
+cancel and gravity remains. The average is what the filter, x-io's imufusion, corrects the gyro with.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ import numpy as np
 from stair_env.attitude import AttitudeFilter
 
 IMU_RATE_HZ = 240.0
+AVERAGING_S = 0.8  # two strides of a trot; with the gain: measured on walking robots, docs/measuring.md
+GAIN = 0.4  # balances the gyro's bias (0.0025 rad/s / gain) against what the average lets through
+REJECT_NOTHING_DEG = 90.0  # the average has no outliers to reject
 GRAVITY_M_S2 = 9.8  # of the reported vector; only its direction is used
 
 
@@ -19,11 +23,14 @@ class CameraAttitude:
 
     Args:
         rate_hz: rate of the samples.
-        gain: how fast the accelerometer corrects the gyro.
+        gain: how fast the accelerometer corrects the gyro, 1/s.
+        averaging_s: time constant of the accelerometer's average; 0 takes each reading as it is.
     """
 
-    def __init__(self, rate_hz: float = IMU_RATE_HZ, gain: float = 0.1) -> None:
-        self._filter = AttitudeFilter(rate_hz, gain=gain)
+    def __init__(self, rate_hz: float = IMU_RATE_HZ, gain: float = GAIN, averaging_s: float = AVERAGING_S) -> None:
+        self._filter = AttitudeFilter(rate_hz, gain=gain, acceleration_rejection_deg=REJECT_NOTHING_DEG)
+        self._share = 1.0 / max(averaging_s * rate_hz, 1.0)
+        self._level_force = np.zeros(3)
         self._started = False
 
     def reset(self) -> None:
@@ -49,10 +56,16 @@ class CameraAttitude:
         samples = samples[np.isfinite(samples).all(axis=1)]
         if len(samples) and not self._started:
             self._filter.reset(samples[:, :3].mean(axis=0))
+            self._level_force = np.array([0.0, 0.0, GRAVITY_M_S2])
             self._started = True
-        if len(samples):
-            self._filter.update(samples[:, :3], samples[:, 3:])
+        for sample in samples:
+            self._take(sample)
         return self.gravity
+
+    def _take(self, sample: np.ndarray) -> None:
+        to_level = self._filter.sensor_to_level_with_yaw
+        self._level_force = self._level_force + self._share * (to_level @ sample[:3] - self._level_force)
+        self._filter.update((self._level_force @ to_level)[None], sample[None, 3:])
 
     @property
     def gravity(self) -> np.ndarray:

@@ -146,8 +146,8 @@ def test_uneven_risers_are_not_averaged_away() -> None:
     seen: dict[int, float] = {}
     while walk.x < walk.profile.edge_x[-1] - HIP:
         block = walk.step()
-        ahead = int(np.searchsorted(walk.profile.edge_x, walk.x + HIP))
-        if block.valid and abs(block.edge_distance - walk.truth().edge_distance) < 0.1:
+        ahead = int(np.searchsorted(walk.profile.edge_x, walk.x + HIP * math.cos(walk.yaw), side="right"))
+        if block.valid and walk.truth().valid and abs(block.edge_distance - walk.truth().edge_distance) < 0.1:
             seen[ahead] = block.step_height
     measured = np.array([seen[i] for i in sorted(seen)])
     true = np.abs(walk.profile.rises[sorted(seen)])
