@@ -143,4 +143,4 @@ class _Tally:
             return
         self.measured += 1
         for name, field in COMPARED.items():
-            self.squared_error_mm2[name] += ((block[field] - truth[field]) * MM) ** 2
+            self.squared_error_mm2[name] += float(((block[field] - truth[field]) * MM) ** 2)
