@@ -70,7 +70,5 @@ def colour_input(rgb: np.ndarray) -> np.ndarray:
 def depth_input(depth_m: np.ndarray) -> np.ndarray:
     """(B, H, W) metres, 0 = no reading -> (B, 1, H, W) float32 in -1..1; no reading looks like infinitely far."""
     depth = np.asarray(depth_m, dtype=np.float32)
-    inverse = np.zeros_like(depth)
-    np.divide(np.float32(NEAREST_DEPTH_M), depth, out=inverse, where=depth > 0.0)
-    np.minimum(inverse, np.float32(1.0), out=inverse)
-    return (np.float32(2.0) * inverse - np.float32(1.0))[:, None]
+    distance = np.where(depth > 0.0, np.maximum(depth, np.float32(NEAREST_DEPTH_M)), np.float32(np.inf))
+    return (np.float32(2.0 * NEAREST_DEPTH_M) / distance - np.float32(1.0))[:, None]
