@@ -24,11 +24,13 @@ SCORE_THRESHOLD = 0.5  # the paper's confidence
 
 SAME_LINE_PX = 3.0  # two predictions of a cell closer than this are one line; about three times the detector's jitter
 START_GAP_PX = 2.0  # segments of one column that are farther apart start different lines; twins are merged later
+START_SLOPE_GAP = 0.2  # segments whose slopes differ by more start different lines
 TWIN_PX = 2.5  # lines that stay closer than this are one; labels keep 3 px between lines
 JOIN_TOLERANCE_PX = 3.0  # vertical distance within which a segment lies on a line
 JOIN_GROWTH = 0.03  # extra tolerance per pixel between the segment and the known part of the line
 JOIN_LIMIT_PX = 6.0
-SLOPE_PRIOR = 2500.0  # weight of the expected slope: jitter of 1 px against a spread of slopes of 0.02, squared
+PENCIL_PRIOR = 1000.0  # weight of the slope that its neighbours expect of a line: (1 px of jitter / 0.03)^2
+LONE_PRIOR = 100.0  # the same where there are no neighbours to tell: (1 px / 0.1)^2
 MAX_SLOPE = 3.0  # steeper than any stair line that a camera within 60 degrees of roll can see
 MAX_ITERATIONS = 5
 SHORT_SEGMENT_PX = 8.0  # a segment this short says half of what its neighbours say about its slope
@@ -153,6 +155,10 @@ class _Clusters:
         height = self.middle_y[chosen] + self.slope[chosen] * (at - self.middle_x[chosen])
         order = np.lexsort((height, at))
         apart = (np.diff(height[order]) > START_GAP_PX) | (np.diff(at[order]) != 0.0)
+        group = np.concatenate([[0], np.cumsum(apart)])
+        # Lines that cross here have one height and two slopes.
+        order = order[np.lexsort((self.slope[chosen[order]], group))]
+        apart = (np.diff(group) != 0) | (np.diff(self.slope[chosen[order]]) > START_SLOPE_GAP)
         self.label[chosen[order]] = len(self.k) + np.concatenate([[0], np.cumsum(apart)])
         self.refit()
 
@@ -170,22 +176,25 @@ class _Clusters:
         dx, dy = x - mean_x[label], y - mean_y[label]
         spread = np.bincount(label, weight * dx * dx, count)
         product = np.bincount(label, weight * dx * dy, count)
-        slope = self._pencil(spread, product, mean_x, mean_y)
-        self.k = np.clip((product + SLOPE_PRIOR * slope) / (spread + SLOPE_PRIOR), -MAX_SLOPE, MAX_SLOPE)
+        slope, prior = self._pencil(spread, product, mean_x, mean_y)
+        self.k = np.clip((product + prior * slope) / (spread + prior), -MAX_SLOPE, MAX_SLOPE)
         self.b = mean_y - self.k * mean_x
         self.low, self.high = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(self.low, label, x)
         np.maximum.at(self.high, label, x)
 
-    def _pencil(self, spread: np.ndarray, product: np.ndarray, mean_x: np.ndarray, mean_y: np.ndarray) -> np.ndarray:
-        """The slope that each line should have, all (m,): parallel lines in space meet in one point of the image.
+    def _pencil(
+        self, spread: np.ndarray, product: np.ndarray, mean_x: np.ndarray, mean_y: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """The slope that each line should have, all (m,), and its weight.
 
+        Parallel lines in space meet in one point of the image.
         Slope is then affine in the height at which a line crosses the middle of the image. It serves as a prior, which
         only matters to lines of few segments, whose own slope is noise.
         """
-        long = spread > SLOPE_PRIOR
+        long = spread > PENCIL_PRIOR
         if long.sum() < 3:
-            return np.full(len(spread), self.common_slope)
+            return np.full(len(spread), self.common_slope), LONE_PRIOR
         own = product[long] / spread[long]
         at_middle = mean_y + self.common_slope * (NETWORK_SIZE_PX / 2.0 - mean_x)
         weight = spread[long]
@@ -193,16 +202,19 @@ class _Clusters:
         dy = at_middle[long] - centre
         # The constant keeps few and close lines from being extrapolated.
         trend = (weight * dy * (own - mean_slope)).sum() / ((weight * dy * dy).sum() + 1e3 * weight.mean())
-        return mean_slope + trend * (at_middle - centre)
+        return mean_slope + trend * (at_middle - centre), PENCIL_PRIOR
 
     def nearest(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The line nearest to each chosen segment, and whether the segment lies on it; both (c,)."""
         if len(self.k) == 0 or len(chosen) == 0:
             return np.full(len(chosen), -1), np.zeros(len(chosen), dtype=bool)
-        x, y = self.middle_x[chosen, None], self.middle_y[chosen, None]
+        x = self.middle_x[chosen, None]
         gap = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
         tolerance = np.minimum(JOIN_TOLERANCE_PX + JOIN_GROWTH * gap, JOIN_LIMIT_PX)
-        excess = np.abs(self.k * x + self.b - y) / tolerance  # (c, lines)
+        left, right = (self.x[chosen, end, None] * self.k + self.b - self.y[chosen, end, None] for end in (0, 1))
+        excess = (np.abs(left) + np.abs(right)) / (
+            2.0 * tolerance
+        )  # (c, lines); a line that crosses is off at the ends
         best = np.argmin(excess, axis=1)
         return best, excess[np.arange(len(chosen)), best] <= 1.0
 
@@ -257,22 +269,24 @@ def _as_rows(clusters: _Clusters, segments: Segments) -> np.ndarray:
 
 
 def _merge_twins(rows: np.ndarray) -> np.ndarray:
-    """Join neighbours that run within the same-line distance of each other wherever both, or either, are seen."""
-    kept: list[np.ndarray] = []
-    for row in rows:
-        twin = next((index for index, other in enumerate(kept) if _are_twins(row, other)), None)
-        if twin is None:
-            kept.append(row)
-        else:
-            kept[twin] = _join(kept[twin], row)
-    return np.array(kept)
+    """Join lines that stay within the twin distance of each other where both are seen, or across their gap."""
+    while True:
+        twins = np.argwhere(np.triu(_are_twins(rows), k=1))
+        if len(twins) == 0:
+            return rows
+        gone: set[int] = set()
+        for first, second in twins.tolist():
+            if first not in gone and second not in gone:
+                rows[first] = _join(rows[first], rows[second])
+                gone.add(second)
+        rows = np.delete(rows, sorted(gone), axis=0)
 
 
-def _are_twins(a: np.ndarray, b: np.ndarray) -> bool:
-    low, high = max(a[0], b[0]), min(a[2], b[2])
-    if low > high:  # side by side: compare across the gap
-        low, high = high, low
-    return all(abs((a[4] - b[4]) * x + a[5] - b[5]) <= TWIN_PX for x in (low, high))
+def _are_twins(rows: np.ndarray) -> np.ndarray:
+    """(m, m) bool."""
+    low, high = np.maximum(rows[:, None, 0], rows[None, :, 0]), np.minimum(rows[:, None, 2], rows[None, :, 2])
+    slope, offset = rows[:, None, 4] - rows[None, :, 4], rows[:, None, 5] - rows[None, :, 5]
+    return (np.abs(slope * low + offset) <= TWIN_PX) & (np.abs(slope * high + offset) <= TWIN_PX)
 
 
 def _join(a: np.ndarray, b: np.ndarray) -> np.ndarray:
