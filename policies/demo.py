@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ class DemoConfig:
         lighting: "day", "night", or "both" in turn.
         riser_height, tread_depth: metres, low and high.
         seed: of all flights.
+        env_kwargs: further arguments of the environment.
 
     Raises:
         ValueError: a wrong value; the message names argument, value and choices.
@@ -46,6 +47,7 @@ class DemoConfig:
     riser_height: tuple[float, float] = (0.09, 0.14)
     tread_depth: tuple[float, float] = (0.27, 0.33)
     seed: int = 0
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_choice("direction", self.direction, tuple(DIRECTIONS))
@@ -119,6 +121,7 @@ def _make_env(config: DemoConfig, setting: Mapping[str, Any]) -> gym.Env:
         "tread_depth": config.tread_depth,
         "render_mode": "rgb_array",
         **setting,
+        **config.env_kwargs,
     }
     return make_env(PERCEPTION_ID, kwargs, monitor=False)
 
