@@ -14,7 +14,7 @@ import numpy as np
 UNKNOWN, TREAD, RISER = 0, 1, 2
 
 SCATTER_COST = 1.5  # per standard deviation of the median residual
-OUTLIER_COST = 4.0  # when no point fits
+OUTLIER_COST = 8.0  # when no point fits: a strip of two faces has at least a third of its points off
 UNKNOWN_COST = 4.0  # of leaving a strip unexplained: a fit with half its points off costs more
 MEETING_LIMIT = 6.0  # largest cost of two faces that do not meet in their line
 MEETING_FLOOR_M = 0.008

@@ -268,11 +268,23 @@ def _fit_constant(per_depth: np.ndarray, strips: Strips) -> _ConstantFit:
         value = np.where(total > 0, value + (weight * residual).sum(axis=1) / np.maximum(total, 1e-9), value)
     residual = coordinate - value[:, None]
     chi = np.abs(residual) / sigma
-    inliers = (ok & (chi < ROBUST_CUT)).sum(axis=1) / np.maximum(ok.sum(axis=1), 1)
+    inliers = _inlier_share(ok & (chi < ROBUST_CUT), ok)
     scatter = masked_median(chi, ok) + 0.2  # + 0.2: exact depth must not divide by zero
     weight = weight / strips.points_per_reading[:, None]
     std = 1.0 / np.sqrt(np.maximum(weight.sum(axis=1), 1e-6))
     return _ConstantFit(Candidate(value, std, scatter, inliers), residual, weight, depth)
+
+
+def _inlier_share(fits: np.ndarray, ok: np.ndarray) -> np.ndarray:
+    """(K,) share of the points that fit, of the worse half of a strip: two faces in one strip differ by halves.
+
+    The strips before the first and beyond the last line may end in something else, so that there the whole counts.
+    """
+    halves = [part.reshape(len(part), COLUMN_BANDS, 2, -1).sum(axis=(1, 3)).astype(np.float64) for part in (fits, ok)]
+    share = (halves[0] / np.maximum(halves[1], 1.0)).min(axis=1)
+    for outer in (0, -1):
+        share[outer] = halves[0][outer].sum() / max(halves[1][outer].sum(), 1.0)
+    return share
 
 
 def _solve_rotation(

@@ -235,12 +235,15 @@ def _riser(section: Section, direction: int, edge: _Edge, near: _Edge | None) ->
     """Height and standard deviation of the riser at a nosing: below it going up, beyond it going down."""
     face = edge.before + 1 if direction == DOWN else edge.before - 1
     level = edge.before if direction == DOWN else edge.before + 1
-    if 0 <= face < len(section.kind) and section.kind[face] == TREAD:
+    if _is(section, face, TREAD):
         lower = float(section.value[face])
         if direction == DOWN and _may_hide_a_step(edge, lower):
             return None
-        same_kind = level < len(section.kind) and section.kind[level] == TREAD
-        std = section.std_of_difference(level, face) if same_kind else math.hypot(edge.height_std, section.std(face))
+        std = (
+            section.std_of_difference(level, face)
+            if _is(section, level, TREAD)
+            else math.hypot(edge.height_std, section.std(face))
+        )
         return abs(edge.height - lower), std
     if direction == UP and near is not None and face == near.before:  # the tread hides behind the nosing below
         return abs(edge.height - near.height), math.hypot(edge.height_std, near.height_std)
@@ -248,14 +251,20 @@ def _riser(section: Section, direction: int, edge: _Edge, near: _Edge | None) ->
 
 
 def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> tuple[float, float] | None:
-    """Run and standard deviation from a nosing to the next one, if nothing unknown lies between."""
-    if far is None or far.before - edge.before > 2 or (section.kind[edge.before : far.before + 1] == UNKNOWN).any():
-        return None
+    """Run and standard deviation from a nosing to the next riser (up) or nosing (down), if nothing unknown is between."""
     if direction == UP:
-        std = section.std_of_difference(edge.before, far.before)
-    else:
-        std = math.hypot(edge.forward_std, far.forward_std)
-    return far.forward - edge.forward, std
+        risers = [face for face in (edge.before + 1, edge.before + 2) if _is(section, face, RISER)]
+        if not risers or not (risers[0] == edge.before + 1 or _is(section, edge.before + 1, TREAD)):
+            return None
+        run = float(section.value[risers[0]] - section.value[edge.before])
+        return run, section.std_of_difference(edge.before, risers[0])
+    if far is None or far.before != edge.before + 1:
+        return None
+    return far.forward - edge.forward, math.hypot(edge.forward_std, far.forward_std)
+
+
+def _is(section: Section, face: int, kind: int) -> bool:
+    return 0 <= face < len(section.kind) and bool(section.kind[face] == kind)
 
 
 def _may_hide_a_step(edge: _Edge, lower_m: float) -> bool:
