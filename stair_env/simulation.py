@@ -6,6 +6,9 @@ indices, inertial frames and joint conventions.
 
 from __future__ import annotations
 
+import logging
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +36,14 @@ SHAPE_COLOURS = {
     "stringer": (0.45, 0.36, 0.28, 1.0),
 }
 DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
+
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened; Bullet waits for ever for one that cannot."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
 @dataclass(frozen=True)
@@ -82,8 +93,10 @@ class Simulation:
 
     def __init__(self, robot: RobotSpec, gui: bool = False) -> None:
         self.robot = robot
-        self.client = BulletClient(pybullet.GUI if gui else pybullet.DIRECT)
-        self._gui = gui
+        self._gui = gui and has_display()
+        if gui and not self._gui:
+            _LOGGER.warning("no display (DISPLAY is not set): the simulation runs without a window")
+        self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
         self.body = -1
         self.ground: list[int] = []
         self._signs = np.array(robot.joint_signs)
