@@ -251,7 +251,7 @@ def _riser(section: Section, direction: int, edge: _Edge, near: _Edge | None) ->
 
 
 def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> tuple[float, float] | None:
-    """Run and standard deviation from a nosing to the next riser (up) or nosing (down), if nothing unknown is between."""
+    """Run and its standard deviation, from a nosing to the next riser (up) or the next nosing (down)."""
     if direction == UP:
         risers = [face for face in (edge.before + 1, edge.before + 2) if _is(section, face, RISER)]
         if not risers or not (risers[0] == edge.before + 1 or _is(section, edge.before + 1, TREAD)):
