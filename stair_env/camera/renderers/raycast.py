@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from stair_env.appearance import AppearanceSpec
 from stair_env.camera.intrinsics import Intrinsics
-from stair_env.camera.renderers import shading, visibility
+from stair_env.camera.renderers import shading, smoothing, visibility
 from stair_env.camera.renderers.base import FAR_M, NEAR_M, Frame, SceneLike, check_pose
-from stair_env.camera.renderers.looks import LookTable, across, light_settings
+from stair_env.camera.renderers.looks import Looks, LookTable, across, light_settings
 from stair_env.camera.renderers.solids import Solids
-from stair_env.camera.renderers.threads import run_rows
+from stair_env.camera.renderers.threads import default_threads, run_rows
 from stair_env.scene import Shape
 
 
@@ -38,6 +39,27 @@ class _Drawn:
         return _Drawn(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
 
+@dataclass(frozen=True)
+class _Rays:
+    """Slopes x / z and y / z of rays, (H, W) float32, and their extremes in each tile."""
+
+    x: np.ndarray
+    y: np.ndarray
+    spans: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray, y: np.ndarray) -> _Rays:
+        """Any rays."""
+        return cls(x, y, visibility.tile_spans(x, y))
+
+    @classmethod
+    @functools.lru_cache(maxsize=8)
+    def through_centres(cls, intrinsics: Intrinsics) -> _Rays:
+        """One through the centre of each pixel."""
+        rays = intrinsics.rays().astype(np.float32)
+        return cls.of(np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1]))
+
+
 class RaycastRenderer:
     """Casts one ray through every pixel centre.
 
@@ -46,6 +68,7 @@ class RaycastRenderer:
         appearance: materials and light; None for the scene's own (`scene.spec.appearance`), or the default ones.
         shadows: whether the light casts shadows, if the appearance has it so.
         textures: whether surfaces show their texture or its mean colour.
+        antialias: whether outlines, creases and borders of shadows are drawn with more rays (colour only).
         threads: number of threads to draw with; None for numba's setting (NUMBA_NUM_THREADS, else all cores).
 
     Raises:
@@ -60,11 +83,13 @@ class RaycastRenderer:
         appearance: AppearanceSpec | None = None,
         shadows: bool = True,
         textures: bool = True,
+        antialias: bool = True,
         threads: int | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads={threads!r} must be at least 1, or None")
         self._threads = threads
+        self._antialias = antialias
         if appearance is None:
             appearance = getattr(getattr(scene, "spec", None), "appearance", None) or AppearanceSpec()
         self._light = light_settings(appearance, shadows)
@@ -103,35 +128,81 @@ class RaycastRenderer:
         """
         pose = check_pose(camera_to_world)
         solids = self._static.joined(self._prepare(moving, fixed=False)) if moving else self._static
-        m, o = visibility.to_camera(solids.rotations, solids.centres, pose)
+        view = _View(solids, self._table.arrays(), self._light, self._side, intrinsics, pose)
         shape = (intrinsics.height, intrinsics.width)
         depth, ids, rgb = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty((*shape, 3), np.uint8)
-        rx, ry = _ray_slopes(intrinsics)
-        rotations, centres = solids.rotations.reshape(-1, 9).astype(np.float32), solids.centres.astype(np.float32)
-        rows_of_pose = pose[:3].astype(np.float32).ravel()
-        near, far = np.float32(NEAR_M), np.float32(FAR_M)
-        pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
-        looks = self._table.arrays()
-
-        def draw(rows: np.ndarray) -> None:
-            visibility.trace_rows(
-                rows, rx, ry, solids.kinds, solids.sizes, solids.bounds, m, o, near, far, depth, ids
-            )  # fmt: skip
-            shading.shade_rows(
-                rows, rx, ry, solids.kinds, solids.sizes, m, o, rotations, centres, solids.shifts, solids.looks,
-                solids.low, solids.high, solids.side, looks.texels, looks.base, looks.values,
-                self._light, self._side, rows_of_pose, pixel_slope, depth, ids, rgb,
-            )  # fmt: skip
-
-        run_rows(draw, -(-intrinsics.height // visibility.TILE), self._threads)
+        regions = np.empty(shape, np.int32)
+        rays = _Rays.through_centres(intrinsics)
+        tiles = -(-intrinsics.height // visibility.TILE)
+        run_rows(lambda rows: view.draw(rows, rays, depth, ids, rgb, regions), tiles, self._threads)
+        if self._antialias:
+            borders: list[np.ndarray] = []
+            run_rows(lambda rows: borders.append(view.borders(rows, regions, rgb)), tiles, self._threads)
+            shares = np.array_split(np.concatenate(borders), self._threads or default_threads())
+            run_rows(lambda k: view.smooth(shares[k[0]], rays, rgb), len(shares), self._threads)
         return Frame(rgb, depth, ids)
 
     def close(self) -> None:
         """Nothing to release."""
 
 
-def _ray_slopes(intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """x / z of each column's rays (W,), and y / z of each row's (H,), float32."""
-    rx = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
-    ry = (np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
-    return rx.astype(np.float32), ry.astype(np.float32)
+class _View:
+    """What the kernels need to draw solids from one place."""
+
+    def __init__(
+        self,
+        solids: _Drawn,
+        looks: Looks,
+        light: np.ndarray,
+        side: np.ndarray,
+        intrinsics: Intrinsics,
+        camera_to_world: np.ndarray,
+    ) -> None:
+        self._solids, self._looks, self._light, self._side = solids, looks, light, side
+        self._m, self._o = visibility.to_camera(solids.rotations, solids.centres, camera_to_world)
+        self._rotations = solids.rotations.reshape(-1, 9).astype(np.float32)
+        self._centres = solids.centres.astype(np.float32)
+        self._pose = camera_to_world[:3].astype(np.float32).ravel()
+        self._slope = np.float32(1.0 / intrinsics.fx), np.float32(1.0 / intrinsics.fy)
+        self._pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
+
+    def draw(
+        self,
+        rows: np.ndarray,
+        rays: _Rays,
+        depth: np.ndarray,
+        ids: np.ndarray,
+        rgb: np.ndarray,
+        regions: np.ndarray,
+    ) -> None:
+        """Fill rows of tiles of the images; see `visibility.trace_rows` and `shading.shade_rows`."""
+        solids, looks = self._solids, self._looks
+        near, far = np.float32(NEAR_M), np.float32(FAR_M)
+        visibility.trace_rows(
+            rows, rays.x, rays.y, rays.spans, solids.kinds, solids.sizes, solids.bounds, self._m, self._o,
+            near, far, depth, ids,
+        )  # fmt: skip
+        shading.shade_rows(
+            rows, rays.x, rays.y, solids.kinds, solids.sizes, self._m, self._o, self._rotations, self._centres,
+            solids.shifts, solids.looks, solids.low, solids.high, solids.side,
+            looks.texels, looks.base, looks.values, self._light, self._side,
+            self._pose, self._pixel_slope, depth, ids, rgb, regions,
+        )  # fmt: skip
+
+    def borders(self, rows: np.ndarray, regions: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+        """Pixels beside a border in rows of tiles; see `smoothing.find_borders`."""
+        pixels = np.empty(len(rows) * visibility.TILE * rgb.shape[1], np.int64)
+        return pixels[: smoothing.find_borders(rows, regions, rgb, pixels)]
+
+    def smooth(self, pixels: np.ndarray, rays: _Rays, rgb: np.ndarray) -> None:
+        """Draw pixels of the image again, with more rays."""
+        if len(pixels) == 0:
+            return
+        packets = -(-len(pixels) * smoothing.SAMPLES // visibility.TILE**2)
+        shape = (packets * visibility.TILE, visibility.TILE)
+        sample_x, sample_y = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        smoothing.spread_rays(pixels, rays.x, rays.y, *self._slope, sample_x.reshape(-1), sample_y.reshape(-1))
+        depth, ids, regions = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty(shape, np.int32)
+        samples = np.empty((*shape, 3), np.uint8)
+        self.draw(np.arange(packets), _Rays.of(sample_x, sample_y), depth, ids, samples, regions)
+        smoothing.average_samples(pixels, samples.reshape(-1, 3), rgb)

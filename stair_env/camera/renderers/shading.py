@@ -33,12 +33,12 @@ RED, GREEN, BLUE = 16 * AREA, 17 * AREA, 18 * AREA  # albedo, then encoded colou
 DENSITY, STRENGTH, SHININESS = 19 * AREA, 20 * AREA, 21 * AREA  # of the look: texels per metre, gloss
 GAIN = 22 * AREA  # of the look, three blocks
 ACROSS, DOWN = 25 * AREA, 26 * AREA  # place between four texels, 0 to 1
-LANES = 27 * AREA  # scratch
-NUM_FLOATS = 28 * AREA
+SCRATCH = 27 * AREA  # two blocks
+NUM_FLOATS = 29 * AREA
 # Blocks of the integer buffer.
-ID, BASE = 0 * AREA, 1 * AREA  # solid, first texel of the look's texture
-TEXELS = 2 * AREA  # indices of four texels, then the texels themselves
-NUM_INTS = 6 * AREA
+ID, FACE, BASE = 0 * AREA, 1 * AREA, 2 * AREA  # solid, its face, first texel of the look's texture
+TEXELS = 3 * AREA  # indices of four texels, then the texels themselves
+NUM_INTS = 7 * AREA
 
 # Entries of a look, see `stair_env.camera.renderers.looks`.
 LOOK_DENSITY, LOOK_STRENGTH, LOOK_SHININESS, LOOK_GAIN = 0, 1, 2, 3
@@ -99,6 +99,7 @@ def _box_surface(f, n, m, o, size, rotation, shift, index):  # type: ignore[no-u
         nz = sign * (r20 if on0 else (r21 if on1 else r22))
         q0, q1, q2 = p0 + s0, p1 + s1, p2 + s2
         mine = n[ID + k] == index
+        n[FACE + k] = (0 if on0 else (1 if on1 else 2)) if mine else n[FACE + k]
         f[NX + k] = sign * (r00 if on0 else (r01 if on1 else r02)) if mine else f[NX + k]
         f[NY + k] = sign * (r10 if on0 else (r11 if on1 else r12)) if mine else f[NY + k]
         f[NZ + k] = nz if mine else f[NZ + k]
@@ -127,6 +128,7 @@ def _round_surface(f, n, m, o, size, rotation, kind, index):  # type: ignore[no-
         scale = _ONE / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + _TINY)
         n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
         mine = n[ID + k] == index
+        n[FACE + k] = 3 if mine else n[FACE + k]
         f[NX + k] = r00 * n0 + r01 * n1 + r02 * n2 if mine else f[NX + k]
         f[NY + k] = r10 * n0 + r11 * n1 + r12 * n2 if mine else f[NY + k]
         f[NZ + k] = r20 * n0 + r21 * n1 + r22 * n2 if mine else f[NZ + k]
@@ -233,7 +235,8 @@ def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-de
         e2 = max(abs(r02 * x + r12 * y + r22 * z) - h2, _ZERO)
         distance = max(np.sqrt(e0 * e0 + e1 * e1 + e2 * e2) - radius, _ZERO)
         depth = max(_ONE - distance / _OPEN_REACH_M, _ZERO)
-        f[OPEN + k] *= _ONE - _OPEN_LOSS * depth * depth
+        # The worst neighbour counts: steps are one solid inside another, and would darken a wall many times over.
+        f[OPEN + k] = min(f[OPEN + k], _ONE - _OPEN_LOSS * depth * depth)
 
 
 @kernel
@@ -338,22 +341,23 @@ def _encode(f):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bounds(f, n, low, high):  # type: ignore[no-untyped-def]
-    """Box around the tile's points that are on a surface, into low and high, both (3,)."""
+def _bounds(f, low, high):  # type: ignore[no-untyped-def]
+    """Box around the tile's points, into low and high, both (3,)."""
     for a in range(3):
-        for lane in range(TILE):  # rows of lanes first: a running minimum over all pixels would not vectorise
-            f[LANES + lane], f[LANES + TILE + lane] = _HUGE, -_HUGE
-        for row in range(TILE):
-            for lane in range(TILE):
-                value = f[PX + a * AREA + row * TILE + lane]
-                hit = n[ID + row * TILE + lane] >= 0
-                small, large = value if hit else _HUGE, value if hit else -_HUGE
-                least, most = f[LANES + lane], f[LANES + TILE + lane]
-                f[LANES + lane] = small if small < least else least
-                f[LANES + TILE + lane] = large if large > most else most
-        low[a], high[a] = f[LANES], f[LANES + TILE]
-        for lane in range(1, TILE):
-            low[a], high[a] = min(low[a], f[LANES + lane]), max(high[a], f[LANES + TILE + lane])
+        # Halving is three times as fast as a running minimum, which waits for its last result.
+        for k in range(AREA // 2):
+            x, y = f[PX + a * AREA + k], f[PX + a * AREA + AREA // 2 + k]
+            f[SCRATCH + k] = x if x < y else y
+            f[SCRATCH + AREA + k] = x if x > y else y
+        for half in (64, 32, 16):
+            for k in range(half):
+                x, y = f[SCRATCH + k], f[SCRATCH + half + k]
+                f[SCRATCH + k] = x if x < y else y
+                x, y = f[SCRATCH + AREA + k], f[SCRATCH + AREA + half + k]
+                f[SCRATCH + AREA + k] = x if x > y else y
+        low[a], high[a] = f[SCRATCH], f[SCRATCH + AREA]
+        for k in range(1, 16):
+            low[a], high[a] = min(low[a], f[SCRATCH + k]), max(high[a], f[SCRATCH + AREA + k])
 
 
 @kernel
@@ -365,63 +369,129 @@ def _is_dark(f):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _may_shade(low, high, light, side, solid_low, solid_high, solid_side, i):  # type: ignore[no-untyped-def]
-    """Whether solid i can stand between the box low..high and the light.
+def _neighbours(low, high, solid_low, solid_high, found):  # type: ignore[no-untyped-def]
+    """List the solids that can take ambient light from points in the box low..high; returns their number."""
+    margin = _TWO * _OPEN_REACH_M
+    x0, y0, z0 = low[0] - margin, low[1] - margin, low[2] - margin
+    x1, y1, z1 = high[0] + margin, high[1] + margin, high[2] + margin
+    count = 0
+    for i in range(solid_low.shape[0]):
+        if (
+            solid_low[i, 0] < x1
+            and solid_high[i, 0] > x0
+            and solid_low[i, 1] < y1
+            and solid_high[i, 1] > y0
+            and solid_low[i, 2] < z1
+            and solid_high[i, 2] > z0
+        ):
+            found[count] = i
+            count += 1
+    return count
+
+
+@kernel
+def _way_to_light(low, high, to_light, is_lamp):  # type: ignore[no-untyped-def]
+    """Interval of one coordinate on the ways to the light from points in low..high."""
+    if is_lamp:
+        return min(low + _LIFT_M, to_light), max(high - _LIFT_M, to_light)
+    return low + _LIFT_M if to_light >= _ZERO else -_HUGE, high - _LIFT_M if to_light <= _ZERO else _HUGE
+
+
+@kernel
+def _occluders(low, high, light, side, solid_low, solid_high, solid_side, found):  # type: ignore[no-untyped-def]
+    """List the solids that can stand between the box low..high and the light; returns their number.
 
     side holds two directions across a sun's light, (2, 3), and solid_side how far solids reach along them, (n, 4).
     """
-    if light[LAMP] > _ZERO:
-        for a in range(3):
-            if solid_high[i, a] <= min(low[a], light[LIGHT + a]) or solid_low[i, a] >= max(high[a], light[LIGHT + a]):
-                return False
-        return True
+    is_lamp = light[LAMP] > _ZERO
+    x0, x1 = _way_to_light(low[0], high[0], light[LIGHT], is_lamp)
+    y0, y1 = _way_to_light(low[1], high[1], light[LIGHT + 1], is_lamp)
+    z0, z1 = _way_to_light(low[2], high[2], light[LIGHT + 2], is_lamp)
+    middle_s, reach_s, middle_t, reach_t = _ZERO, _ZERO, _ZERO, _ZERO
     for a in range(3):
-        if light[LIGHT + a] >= _ZERO and solid_high[i, a] <= low[a] + _LIFT_M:
-            return False
-        if light[LIGHT + a] <= _ZERO and solid_low[i, a] >= high[a] - _LIFT_M:
-            return False
-    for b in range(2):
-        middle, reach = _ZERO, _ZERO
-        for a in range(3):
-            middle += side[b, a] * (low[a] + high[a]) * _HALF
-            reach += abs(side[b, a]) * (high[a] - low[a]) * _HALF
-        if solid_side[i, 2 * b] > middle + reach or solid_side[i, 2 * b + 1] < middle - reach:
-            return False
-    return True
+        middle, reach = (low[a] + high[a]) * _HALF, (high[a] - low[a]) * _HALF
+        middle_s, reach_s = middle_s + side[0, a] * middle, reach_s + abs(side[0, a]) * reach
+        middle_t, reach_t = middle_t + side[1, a] * middle, reach_t + abs(side[1, a]) * reach
+    if is_lamp:  # its ways do not run in parallel
+        reach_s, reach_t = _HUGE, _HUGE
+    count = 0
+    for i in range(solid_low.shape[0]):
+        if (
+            solid_high[i, 2] > z0
+            and solid_low[i, 2] < z1
+            and solid_high[i, 0] > x0
+            and solid_low[i, 0] < x1
+            and solid_high[i, 1] > y0
+            and solid_low[i, 1] < y1
+            and solid_side[i, 0] <= middle_s + reach_s
+            and solid_side[i, 1] >= middle_s - reach_s
+            and solid_side[i, 2] <= middle_t + reach_t
+            and solid_side[i, 3] >= middle_t - reach_t
+        ):
+            found[count] = i
+            count += 1
+    return count
 
 
 @kernel
 def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: ignore[no-untyped-def]
     """Fill the buffers from the images; returns how many different solids are seen, listed in present."""
     height, width = depth.shape
-    count = 0
-    for row in range(TILE):
-        v = v0 + row
-        for column in range(TILE):
-            u, k = u0 + column, row * TILE + column
+    if v0 + TILE <= height and u0 + TILE <= width:
+        for row in range(TILE):
+            for column in range(TILE):
+                k = row * TILE + column
+                f[RX + k], f[RY + k] = rx[v0 + row, u0 + column], ry[v0 + row, u0 + column]
+                f[T + k], n[ID + k] = depth[v0 + row, u0 + column], ids[v0 + row, u0 + column]
+    else:
+        for k in range(AREA):
+            v, u = v0 + k // TILE, u0 + k % TILE
             inside = v < height and u < width
-            index = ids[v, u] if inside else -1
-            f[RX + k] = rx[min(u, width - 1)]
-            f[RY + k] = ry[min(v, height - 1)]
-            f[T + k] = depth[v, u] if index >= 0 else _ONE
-            n[ID + k] = index
-            if index >= 0 and seen[index] != stamp:
-                seen[index] = stamp
-                present[count] = index
-                count += 1
+            v, u = min(v, height - 1), min(u, width - 1)
+            f[RX + k], f[RY + k], f[T + k] = rx[v, u], ry[v, u], depth[v, u]
+            n[ID + k] = ids[v, u] if inside else -1
+    count, last = 0, -1
+    for k in range(AREA):
+        index = n[ID + k]
+        if index == last:
+            continue
+        last = index
+        if index >= 0 and seen[index] != stamp:
+            seen[index] = stamp
+            present[count] = index
+            count += 1
+    for k in range(AREA):  # a ray into the sky gets any length that keeps the rest finite
+        f[T + k] = f[T + k] if n[ID + k] >= 0 else _ONE
     return count
+
+
+@kernel
+def _store(f, n, u0, v0, rgb, regions):  # type: ignore[no-untyped-def]
+    """Copy colours and regions from the buffers to the images."""
+    height, width = regions.shape
+    columns = min(TILE, width - u0)
+    for row in range(min(TILE, height - v0)):
+        for u in range(columns):
+            k = row * TILE + u
+            rgb[v0 + row, u0 + u, 0] = np.uint8(f[RED + k])
+            rgb[v0 + row, u0 + u, 1] = np.uint8(f[GREEN + k])
+            rgb[v0 + row, u0 + u, 2] = np.uint8(f[BLUE + k])
+        for u in range(columns):
+            k = row * TILE + u
+            region = (n[ID + k] * 4 + n[FACE + k]) * 2 + (1 if f[LIT + k] > _ZERO else 0)
+            regions[v0 + row, u0 + u] = region if n[ID + k] >= 0 else -1
 
 
 @kernel
 def shade_rows(  # type: ignore[no-untyped-def]
     rows, rx, ry, kinds, sizes, m, o, rotations, centres, shifts, looks, low, high, solid_side,
-    texels, look_base, look_values, light, side, pose, pixel_slope, depth, ids, rgb,
+    texels, look_base, look_values, light, side, pose, pixel_slope, depth, ids, rgb, regions,
 ):  # fmt: skip
     """Colour whole rows of tiles.
 
     Args:
         rows: (k,) int64 indices of the rows of tiles.
-        rx, ry: (W,), (H,) float32 slopes of the rays through the pixel centres.
+        rx, ry: (H, W) float32 slopes of the rays.
         kinds, sizes, m, o: of n solids, as for `visibility.trace_rows`.
         rotations: (n, 9) float32 local to world, row by row; centres: (n, 3) float32.
         shifts: (n, 3) float32 origin of the texture coordinates in the local frame.
@@ -437,12 +507,12 @@ def shade_rows(  # type: ignore[no-untyped-def]
         pixel_slope: float32, width of a pixel at a depth of 1 m, metres.
         depth, ids: (H, W) as written by `visibility.trace_rows`.
         rgb: (H, W, 3) uint8 out.
+        regions: (H, W) int32 out; pixels of one region lie on one face, all in the light or all in shadow.
     """
-    height, width = depth.shape
-    count = kinds.shape[0]
+    width, count = depth.shape[1], kinds.shape[0]
     f, n = np.zeros(NUM_FLOATS, np.float32), np.zeros(NUM_INTS, np.int32)
     tile_low, tile_high = np.empty(3, np.float32), np.empty(3, np.float32)
-    seen, present = np.zeros(count, np.int64), np.empty(count, np.int64)
+    seen, present, others = np.zeros(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     stamp = 0
     longest = _ONE if light[LAMP] > _ZERO else _HUGE
     for row in rows:
@@ -461,28 +531,21 @@ def shade_rows(  # type: ignore[no-untyped-def]
                 _apply_look(f, n, look_base[up], look_values[up], look_base[other], look_values[other], np.int32(i))
             if found > 0:
                 _towards_light(f, n, light)
-                _bounds(f, n, tile_low, tile_high)
+                _bounds(f, tile_low, tile_high)
                 _find_texels(f, n, pixel_slope)
                 _fetch_texels(n, texels)
                 _blend_texels(f, n)
-                dark = light[SHADOWS] == _ZERO or _is_dark(f)
-                for i in range(count):
-                    near = True
-                    for a in range(3):
-                        near &= low[i, a] < tile_high[a] + _TWO * _OPEN_REACH_M
-                        near &= high[i, a] > tile_low[a] - _TWO * _OPEN_REACH_M
-                    if near and not (found == 1 and present[0] == i):
+                for j in range(_neighbours(tile_low, tile_high, low, high, others)):
+                    i = others[j]
+                    if found > 1 or present[0] != i:
                         _close_off(f, rotations[i], centres[i], sizes[i], kinds[i] == BOX)
-                    if not dark and _may_shade(tile_low, tile_high, light, side, low, high, solid_side, i):
+                if light[SHADOWS] > _ZERO and not _is_dark(f):
+                    for j in range(_occluders(tile_low, tile_high, light, side, low, high, solid_side, others)):
+                        i = others[j]
                         if kinds[i] == BOX:
                             _shade_by_box(f, rotations[i], centres[i], sizes[i], longest)
                         else:
                             _shade_by_round(f, rotations[i], centres[i], sizes[i], kinds[i], longest)
             _radiance(f, n, light, pose)
             _encode(f)
-            for v in range(v0, min(v0 + TILE, height)):
-                for u in range(u0, min(u0 + TILE, width)):
-                    k = (v - v0) * TILE + u - u0
-                    rgb[v, u, 0] = np.uint8(f[RED + k])
-                    rgb[v, u, 1] = np.uint8(f[GREEN + k])
-                    rgb[v, u, 2] = np.uint8(f[BLUE + k])
+            _store(f, n, u0, v0, rgb, regions)

@@ -135,6 +135,24 @@ def hit_capsule(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no
         ids[k] = index if hit else ids[k]
 
 
+def tile_spans(rx: np.ndarray, ry: np.ndarray) -> np.ndarray:
+    """Smallest and largest slopes in each tile.
+
+    Args:
+        rx, ry: (H, W) float32.
+
+    Returns:
+        (rows of tiles, columns of tiles, 4) float32: lowest and highest of rx, lowest and highest of ry.
+    """
+    tops, lefts = np.arange(0, rx.shape[0], TILE), np.arange(0, rx.shape[1], TILE)
+    parts = [
+        extreme.reduceat(extreme.reduceat(slopes, tops, axis=0), lefts, axis=1)
+        for slopes in (rx, ry)
+        for extreme in (np.minimum, np.maximum)
+    ]
+    return np.ascontiguousarray(np.stack(parts, axis=-1))
+
+
 @kernel
 def to_camera(rotations, centres, camera_to_world):  # type: ignore[no-untyped-def]
     """Bring solids into the camera's view of them.
@@ -211,21 +229,43 @@ def _hit(kind, depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-
         hit_capsule(depth, ids, rx, ry, m, o, size, near, index)
 
 
+@kernel
+def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):  # type: ignore[no-untyped-def]
+    """List those of the first count solids in indices that a bundle of rays can enter, and where; returns how many."""
+    found = 0
+    for c in range(count):
+        i = indices[c]
+        entry = bundle_entry(x0, x1, y0, y1, m, o, bounds, i)
+        if entry < far:
+            entries[found], order[found] = entry, i
+            found += 1
+    return found
+
+
 @njit(cache=True, nogil=True, fastmath=True)
-def _maximum(values):  # type: ignore[no-untyped-def]
-    found = values[0]
-    for k in range(values.shape[0]):
-        found = values[k] if values[k] > found else found
+def _maximum(values, scratch):  # type: ignore[no-untyped-def]
+    """Largest of up to TILE * TILE values; by halving, which is faster than waiting for one result after another."""
+    if values.shape[0] < TILE * TILE:
+        return values.max()
+    for k in range(128):
+        scratch[k] = max(values[k], values[128 + k])
+    for half in (64, 32, 16):
+        for k in range(half):
+            scratch[k] = max(scratch[k], scratch[half + k])
+    found = scratch[0]
+    for k in range(1, 16):
+        found = max(found, scratch[k])
     return found
 
 
 @kernel
-def trace_rows(rows, rx, ry, kinds, sizes, bounds, m, o, near, far, depth, ids):  # type: ignore[no-untyped-def]
+def trace_rows(rows, rx, ry, spans, kinds, sizes, bounds, m, o, near, far, depth, ids):  # type: ignore[no-untyped-def]
     """Fill whole rows of tiles.
 
     Args:
         rows: (k,) int64 indices of the rows of tiles to fill.
-        rx, ry: (W,), (H,) float32 slopes of the rays through the pixel centres.
+        rx, ry: (H, W) float32 slopes of the rays; those of a tile should be close together.
+        spans: (rows of tiles, columns of tiles, 4) float32, as from `tile_spans`.
         kinds: (n,) int32; sizes: (n, 3) float32; bounds: (n, 3) float32 half extents of the local bounding boxes.
         m, o: as from `to_camera`.
         near, far: float32 metres.
@@ -235,46 +275,41 @@ def trace_rows(rows, rx, ry, kinds, sizes, bounds, m, o, near, far, depth, ids):
     height, width, n = depth.shape[0], depth.shape[1], kinds.shape[0]
     buffer_x, buffer_y = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
     buffer_depth, buffer_ids = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.int32)
-    entries, order, in_row = np.empty(n, np.float32), np.empty(n, np.int64), np.empty(n, np.int64)
+    entries, order = np.empty(n, np.float32), np.empty(n, np.int64)
+    every, in_row, scratch = np.arange(n), np.arange(n), np.empty(TILE * TILE // 2, np.float32)
     for row in rows:
         v0 = row * TILE
         v1 = min(v0 + TILE, height)
-        candidates = 0
-        for i in range(n):
-            if bundle_entry(rx[0], rx[width - 1], ry[v0], ry[v1 - 1], m, o, bounds, i) < far:
-                in_row[candidates] = i
-                candidates += 1
+        # What a whole row cannot see, none of its tiles can.
+        x0, x1, y0, y1 = spans[row, 0, 0], spans[row, 0, 1], spans[row, 0, 2], spans[row, 0, 3]
+        for column in range(1, spans.shape[1]):
+            x0, x1 = min(x0, spans[row, column, 0]), max(x1, spans[row, column, 1])
+            y0, y1 = min(y0, spans[row, column, 2]), max(y1, spans[row, column, 3])
+        candidates = _entries(every, n, x0, x1, y0, y1, m, o, bounds, far, entries, in_row)
         for u0 in range(0, width, TILE):
             u1 = min(u0 + TILE, width)
             columns = u1 - u0
             pixels = columns * (v1 - v0)
-            tile_x, tile_y, tile_depth, tile_ids = (
-                buffer_x[:pixels], buffer_y[:pixels], buffer_depth[:pixels], buffer_ids[:pixels],
-            )  # fmt: skip
+            tile_x, tile_y = buffer_x[:pixels], buffer_y[:pixels]
+            tile_depth, tile_ids = buffer_depth[:pixels], buffer_ids[:pixels]
             for v in range(v1 - v0):
                 for u in range(columns):
-                    tile_x[v * columns + u] = rx[u0 + u]
-                    tile_y[v * columns + u] = ry[v0 + v]
+                    tile_x[v * columns + u] = rx[v0 + v, u0 + u]
+                    tile_y[v * columns + u] = ry[v0 + v, u0 + u]
             for k in range(pixels):
                 tile_depth[k] = far
                 tile_ids[k] = -1
-            found = 0
-            for c in range(candidates):
-                i = in_row[c]
-                entry = bundle_entry(rx[u0], rx[u1 - 1], ry[v0], ry[v1 - 1], m, o, bounds, i)
-                if entry < far:
-                    entries[found], order[found] = entry, i
-                    found += 1
+            span = spans[row, u0 // TILE]
+            x0, x1, y0, y1 = span[0], span[1], span[2], span[3]
+            found = _entries(in_row, candidates, x0, x1, y0, y1, m, o, bounds, far, entries, order)
             _sort_by(entries, order, found)
             farthest = far
             for j in range(found):
                 if entries[j] >= farthest:
                     break
                 i = order[j]
-                _hit(
-                    kinds[i], tile_depth, tile_ids, tile_x, tile_y, m[i], o[i], sizes[i], near, np.int32(i)
-                )  # fmt: skip
-                farthest = _maximum(tile_depth)
+                _hit(kinds[i], tile_depth, tile_ids, tile_x, tile_y, m[i], o[i], sizes[i], near, np.int32(i))
+                farthest = _maximum(tile_depth, scratch)
             for v in range(v1 - v0):
                 for u in range(columns):
                     k = v * columns + u

@@ -1,5 +1,6 @@
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ def look(**fields):
 
 def draw(*shapes, appearance, pose=DOWN, **options):
     scene = SimpleNamespace(shapes=shapes, edges=())
+    options = {"antialias": False, **options}
     return make_renderer("raycast", scene, appearance=appearance, **options).render(INTRINSICS, pose)
 
 
@@ -148,3 +150,24 @@ def test_gloss_brightens_the_mirror_direction():
     gain = (bright - dull).sum(-1)
     assert gain[44:52, 44:52].mean() > 5 * abs(gain[44:52, :8].mean())
     assert gain[44:52, 44:52].mean() > 0.05
+
+
+def test_smoothing_blends_borders_and_leaves_the_rest():
+    plank = box_between((-0.5, -0.11, 0.0), (0.5, 0.1, 0.02), "wall")
+    appearance = look(wall=SurfaceLook("painted", tint=(1, 0, 0)), floor=SurfaceLook("painted", tint=(0, 0, 1)))
+    pose = look_at((-1e-3, 0.0, 2.0), (0.0, 0.0, 0.0), roll_rad=0.2)
+    rough, smooth = (draw(FLOOR, plank, appearance=appearance, pose=pose, antialias=flag) for flag in (False, True))
+    assert np.array_equal(rough.depth_m, smooth.depth_m)
+    assert np.array_equal(rough.segmentation, smooth.segmentation)
+    inside = rough.segmentation == 1
+    border = np.zeros_like(inside)
+    for axis in (0, 1):
+        for step in (-1, 1):
+            border |= np.roll(inside, step, axis) != inside
+    share = smooth.rgb[..., 0] / 255.0
+    mixed = (share > 0.25 * share.max()) & (share < 0.75 * share.max())
+    assert mixed[border].mean() > 0.2  # neither wall nor floor
+    away = ~cv2.dilate(border.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    changed = (rough.rgb != smooth.rgb).any(axis=-1)
+    assert changed[border].any()
+    assert not (changed & away).any()
