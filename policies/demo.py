@@ -13,7 +13,7 @@ import numpy as np
 from policies import pretrained
 from policies.film import Film, open_video
 from policies.make_env import PERCEPTION_ID, make_env
-from policies.rollout import Episode, run_episode
+from policies.rollout import ERRORS, Episode, run_episode
 from policies.statistics import root_mean_square
 from stair_env.stairs import check_choice
 
@@ -73,7 +73,7 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
         on_step: called after each control step.
 
     Returns:
-        `success_rate`, `episodes`, `rmse_mm` {width, height, distance}, `video`, and `flights` one by one.
+        `success_rate`, `episodes`, `rmse_mm` by `policies.rollout.ERRORS`, `video`, and `flights` one by one.
 
     Raises:
         ValueError: no such policy or robot, or the policy does not fit.
@@ -101,7 +101,7 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
     measured = sum(episode.measured for episode in episodes)
     errors = {
         name: root_mean_square(sum(episode.squared_error_mm2[name] for episode in episodes), measured)
-        for name in ("width", "height", "distance")
+        for name in ERRORS
     }
     successes = sum(episode.success for episode in episodes)
     return {

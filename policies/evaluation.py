@@ -21,7 +21,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
-from policies.rollout import COMPARED, GRAVITY, Episode, Predictor, ZeroAction, run_episode
+from policies.rollout import ERRORS, GRAVITY, Episode, Predictor, ZeroAction, run_episode
 from policies.stair_sets import DIRECTIONS, Cell, make_cells
 from policies.statistics import root_mean_square, wilson_interval
 from stair_env.robots import get_robot
@@ -245,7 +245,7 @@ def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> d
         summary["valid_fraction"] = measured / max(seen, 1)
         summary["rmse_mm"] = {
             name: root_mean_square(sum(episode.squared_error_mm2[name] for episode in episodes), measured)
-            for name in COMPARED
+            for name in ERRORS
         }
     return summary
 

@@ -14,6 +14,7 @@ from stair_env.observation import STAIR_FIELDS
 GRAVITY = 9.81  # m/s², of the cost of transport
 MM = 1000.0
 COMPARED = {"width": "step_width", "height": "step_height", "distance": "edge_distance"}  # error -> field of the block
+ERRORS = (*COMPARED, "nearest_edge")
 StepHook = Callable[[Mapping[str, Any], Mapping[str, Any]], None]
 
 
@@ -59,7 +60,9 @@ class Episode:
         riser_hits: control steps in which a foot struck a riser, summed over feet.
         seen: control steps in which the truth has stairs ahead.
         measured: those of them in which the observation has, too.
-        squared_error_mm2: sums over `measured` of the squared differences, by name (width, height, distance).
+        squared_error_mm2: sums over `measured` of the squared differences: width, height, distance (to the next edge),
+            and nearest_edge, which is the distance's error where being one whole step off, as happens for a moment
+            when an edge is passed, counts as nothing.
     """
 
     seed: int
@@ -131,7 +134,7 @@ class _Tally:
 
     def __init__(self) -> None:
         self.riser_hits = self.seen = self.measured = 0
-        self.squared_error_mm2 = dict.fromkeys(COMPARED, 0.0)
+        self.squared_error_mm2 = dict.fromkeys(ERRORS, 0.0)
 
     def add(self, observation: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
         self.riser_hits += int(truth["riser_hits"])
@@ -142,5 +145,8 @@ class _Tally:
         if block["valid"] < 0.5:
             return
         self.measured += 1
-        for name, field in COMPARED.items():
-            self.squared_error_mm2[name] += float(((block[field] - truth[field]) * MM) ** 2)
+        errors = {name: block[field] - truth[field] for name, field in COMPARED.items()}
+        shifts = (errors["distance"] + step * truth["step_width"] for step in (-1, 0, 1))
+        errors["nearest_edge"] = min(shifts, key=abs)
+        for name, error in errors.items():
+            self.squared_error_mm2[name] += float((error * MM) ** 2)

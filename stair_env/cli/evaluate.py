@@ -110,16 +110,21 @@ def format_table(results: dict[str, Any]) -> str:
         cells = [cell for cell in results["cells"] if cell["source"] == source]
         for direction in dict.fromkeys(cell["direction"] for cell in cells):
             part = [cell for cell in cells if cell["direction"] == direction]
-            episodes, successes = (sum(cell[name] for cell in part) for name in ("episodes", "successes"))
-            lines.append(f"{source:<10}{direction:<11}{successes / episodes:>9.1%}{'':>33}{episodes:>10}")
-        low, high = overall["ci95"]
-        lines.append(
-            f"{source:<10}{'all':<11}{overall['success_rate']:>9.1%}{f'{low:.1%} - {high:.1%}':>18}"
-            f"{overall['steps_climbed_fraction']:>15.1%}{overall['episodes']:>10}"
-        )
+            successes, episodes = (sum(cell[name] for cell in part) for name in ("successes", "episodes"))
+            lines.append(_table_row(source, direction, successes, episodes))
+        climbed = f"{overall['steps_climbed_fraction']:.1%}"
+        lines.append(_table_row(source, "all", overall["successes"], overall["episodes"], climbed))
         if "rmse_mm" in overall:
             errors = (f"{name} {value:.1f}" for name, value in overall["rmse_mm"].items() if value is not None)
             lines.append(
                 f"{'':<10}measured {overall['valid_fraction']:.1%} of the time, RMSE in mm: {', '.join(errors)}"
             )
     return "\n".join(lines)
+
+
+def _table_row(source: str, direction: str, successes: int, episodes: int, climbed: str = "") -> str:
+    from policies.statistics import wilson_interval
+
+    low, high = wilson_interval(successes, episodes)
+    interval = f"{low:.1%} - {high:.1%}"
+    return f"{source:<10}{direction:<11}{successes / episodes:>9.1%}{interval:>18}{climbed:>15}{episodes:>10}"

@@ -71,11 +71,9 @@ def run(args: argparse.Namespace) -> int:
     card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
     if args.json:
         write_json(args.json, card, seed=config.seed)
-    summary = card["training"]
-    print(
-        f"{card['timesteps']} steps, success rate of the last episodes {summary.get('success_rate')}, "
-        f"policy in {args.output / training.FINAL_FOLDER}"
-    )
+    rate = card["training"].get("success_rate")
+    climbed = f", {rate:.0%} of the last episodes climbed" if isinstance(rate, float) else ""
+    print(f"{card['timesteps']} steps{climbed}; policy in {args.output / training.FINAL_FOLDER}")
     return 0
 
 
