@@ -50,7 +50,7 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
         ValueError: a keyword argument has a wrong value.
         gymnasium.error.Error: unknown id.
     """
-    env: gym.Env = CurriculumAccess(gym.make(env_id, **dict(env_kwargs or {})))
+    env: gym.Env = CurriculumAccess(gym.make(env_id, disable_env_checker=True, **dict(env_kwargs or {})))
     if not monitor:
         return env
     from stable_baselines3.common.monitor import Monitor
