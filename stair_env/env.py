@@ -166,7 +166,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
     ) -> None:
         """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
         if self._sim is None:
-            self._sim = Simulation(self.robot, gui=self.render_mode == "human")
+            self._sim = self._open_simulation()
         sim = self._sim
         sim.build(shapes, friction)
         sim.set_payload(payload)
@@ -192,6 +192,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._start_x = float(spawn.position[0])
         self._next_push_s = self._draw_push_time()
         self._energy = 0.0
+
+    def _open_simulation(self) -> Simulation:
+        """Hook for environments whose renderer must be there before the first body is."""
+        return Simulation(self.robot, gui=self.render_mode == "human")
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         """Hook for environments with cameras, whose worlds have surroundings."""

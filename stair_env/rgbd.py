@@ -9,6 +9,7 @@ from gymnasium import spaces
 
 from stair_env.camera.intrinsics import Intrinsics
 from stair_env.camera.renderers import make_renderer
+from stair_env.camera.renderers.bullet import load_egl
 from stair_env.camera.renderers.bullet_shapes import BodyShapes
 from stair_env.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
 from stair_env.env import StairClimbEnv
@@ -16,7 +17,7 @@ from stair_env.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
 from stair_env.robots import CameraMount
 from stair_env.sampling import Scene, SceneSampler
 from stair_env.scene import Shape
-from stair_env.simulation import PHYSICS_RATE_HZ, SUBSTEPS, BaseState
+from stair_env.simulation import PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
 from stair_env.stairs import StairSpec
 
 IMU_BOUND = np.array([4 * 9.81] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
@@ -57,6 +58,12 @@ class StairClimbRgbdEnv(StairClimbEnv):
         self._camera: RgbdCamera | None = None
         self._camera_to_base = mount_to_base(self.robot.camera)
         self._scene_sampler = SceneSampler(lighting=self.lighting)  # type: ignore[arg-type]
+
+    def _open_simulation(self) -> Simulation:
+        sim = super()._open_simulation()
+        if self.camera_config.renderer == "egl":
+            load_egl(sim.client)
+        return sim
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         self.scene = Scene(self._scene_sampler.sample_around(stairs, rng))

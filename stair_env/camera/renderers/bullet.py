@@ -25,6 +25,10 @@ _EGL_PLATFORM_PACKAGES = "libegl1 and libgl1-mesa-dri"
 # A narrower range than the ray caster's: a 24-bit depth buffer resolves z^2 / (near 2^24), 0.03 mm at 5 m.
 BULLET_NEAR_M = 0.05
 BULLET_FAR_M = 60.0
+TYPICAL_LAMP_DISTANCE_M = 2.0  # from a ceiling to the stairs
+DISPLAY_SHARE = 0.6  # of white that each of full ambient and full direct light gives
+DISPLAY_GAMMA = 0.45  # Bullet adds light up in display values
+SPECULAR_SHARE = 0.1  # most building materials are matt
 FLOAT32_STEP = 2.0**-22  # TinyRenderer's buffer ends a rounding error short of 1
 # Measured against analytic planes: TinyRenderer samples a pixel at its lower left corner, not in its centre.
 TINY_SAMPLE_SHIFT_PX = 0.5
@@ -81,6 +85,24 @@ def linear_depth(buffer: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
     return np.where(values < 1.0 - FLOAT32_STEP, depth, 0.0).astype(np.float32)
 
 
+def bullet_light(appearance: AppearanceSpec, shadows: bool) -> dict[str, Any]:
+    """The lighting arguments of getCameraImage that come closest to an appearance; Bullet knows no textures of ours."""
+    lamp = appearance.lamp_position
+    at_scene = appearance.light_intensity if lamp is None else appearance.light_intensity / TYPICAL_LAMP_DISTANCE_M**2
+    ambient, direct = (
+        DISPLAY_SHARE * min(appearance.exposure * light, 1.0) ** DISPLAY_GAMMA
+        for light in (appearance.ambient_level, at_scene)
+    )
+    return {
+        "lightDirection": list(appearance.light_direction if lamp is None else lamp),
+        "lightColor": list(appearance.light_colour),
+        "lightAmbientCoeff": ambient,
+        "lightDiffuseCoeff": direct,
+        "lightSpecularCoeff": SPECULAR_SHARE * min(appearance.specular_strength, 1.0) * direct,
+        "shadow": int(shadows and appearance.shadows),
+    }
+
+
 class BulletRenderer:
     """Draws the bodies of a PyBullet client as they are; moving shapes must be bodies there.
 
@@ -115,11 +137,7 @@ class BulletRenderer:
         self._index = {body: index for index, body in enumerate(bodies)}
         if appearance is None:
             appearance = getattr(getattr(scene, "spec", None), "appearance", None) or AppearanceSpec()
-        self._light: dict[str, Any] = {
-            "lightDirection": list(appearance.lamp_position or appearance.light_direction),
-            "lightColor": list(appearance.light_colour),
-            "shadow": int(shadows and appearance.shadows),
-        }
+        self._light = bullet_light(appearance, shadows)
         if hardware:
             _require_egl(client)
         elif client in _loaded:

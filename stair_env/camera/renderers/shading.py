@@ -59,6 +59,7 @@ _AMBIENT_MEAN, _AMBIENT_UP = np.float32(0.78), np.float32(0.22)  # more light co
 _CURVE_1, _CURVE_2 = np.float32(-4.67033), np.float32(164.28962)
 _CURVE_4, _CURVE_8 = np.float32(181.07308), np.float32(-85.69578)
 _COARSER_FROM = np.float32(1.4)  # texels a pixel, from which on a coarser level is sharp enough
+_MIN_COSINE = np.float32(0.05)  # of the angle at which a texture is seen, below which it is not blurred further
 _FINER_TEXELS = np.float32(4.0 / 3.0 * MIP_SIDE**2)
 _LOBE_PEAK = np.float32(0.04)
 _BELOW_HORIZON = np.float32(0.6)  # brightness of the ground beyond the floor's end relative to the sky above it
@@ -240,10 +241,14 @@ def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _find_texels(f, n, pixel_slope):  # type: ignore[no-untyped-def]
+def _find_texels(f, n, pose, pixel_slope):  # type: ignore[no-untyped-def]
     """Which four texels surround a pixel, in the mip level whose texels are about as wide as the pixel."""
+    ex, ey, ez = pose[3], pose[7], pose[11]
     for k in range(AREA):
-        footprint = f[T + k] * pixel_slope * f[DENSITY + k]
+        x, y, z = f[PX + k] - ex, f[PY + k] - ey, f[PZ + k] - ez
+        cosine = abs(x * f[NX + k] + y * f[NY + k] + z * f[NZ + k]) / np.sqrt(x * x + y * y + z * z + _TINY)
+        # Seen at an angle a pixel covers more texels one way than the other: take their geometric mean.
+        footprint = f[T + k] * pixel_slope * f[DENSITY + k] / np.sqrt(max(cosine, _MIN_COSINE))
         shrink = _ONE
         for power in range(MIP_LEVELS - 1):
             shrink = shrink * _HALF if footprint > _COARSER_FROM * np.float32(1 << power) else shrink
@@ -532,7 +537,7 @@ def shade_rows(  # type: ignore[no-untyped-def]
             if found > 0:
                 _towards_light(f, n, light)
                 _bounds(f, tile_low, tile_high)
-                _find_texels(f, n, pixel_slope)
+                _find_texels(f, n, pose, pixel_slope)
                 _fetch_texels(n, texels)
                 _blend_texels(f, n)
                 for j in range(_neighbours(tile_low, tile_high, low, high, others)):
