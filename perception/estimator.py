@@ -218,7 +218,10 @@ def check_intrinsics(intrinsics: Intrinsics, rgb: np.ndarray) -> None:
 
 def check_gravity(gravity: np.ndarray) -> np.ndarray:
     """(3,) float64; raise ValueError unless it is three finite numbers with a direction."""
-    vector = np.asarray(gravity, dtype=np.float64)
+    try:
+        vector = np.asarray(gravity, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"gravity={gravity!r} must be three finite numbers") from None
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"gravity={gravity!r} must be three finite numbers")
     if np.linalg.norm(vector) < MIN_GRAVITY:
