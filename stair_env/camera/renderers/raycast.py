@@ -14,7 +14,7 @@ from stair_env.camera.renderers import shading, smoothing, visibility
 from stair_env.camera.renderers.base import FAR_M, NEAR_M, Frame, SceneLike, check_pose
 from stair_env.camera.renderers.looks import Looks, LookTable, across, light_settings
 from stair_env.camera.renderers.solids import Solids
-from stair_env.camera.renderers.threads import default_threads, run_rows
+from stair_env.camera.renderers.threads import run_rows
 from stair_env.scene import Shape
 
 
@@ -136,10 +136,12 @@ class RaycastRenderer:
         tiles = -(-intrinsics.height // visibility.TILE)
         run_rows(lambda rows: view.draw(rows, rays, depth, ids, rgb, regions), tiles, self._threads)
         if self._antialias:
-            borders: list[np.ndarray] = []
-            run_rows(lambda rows: borders.append(view.borders(rows, regions, rgb)), tiles, self._threads)
-            shares = np.array_split(np.concatenate(borders), self._threads or default_threads())
-            run_rows(lambda k: view.smooth(shares[k[0]], rays, rgb), len(shares), self._threads)
+            borders = np.empty((tiles, visibility.TILE * intrinsics.width), np.int64)
+            counts = np.zeros(tiles, np.int64)
+            run_rows(lambda rows: smoothing.find_borders(rows, regions, rgb, borders, counts), tiles, self._threads)
+            pixels = np.concatenate([row[:count] for row, count in zip(borders, counts.tolist())])
+            groups = -(-len(pixels) // smoothing.GROUP)
+            run_rows(lambda chosen: view.smooth(pixels, chosen, rays, rgb), groups, self._threads)
         return Frame(rgb, depth, ids)
 
     def close(self) -> None:
@@ -189,15 +191,12 @@ class _View:
             self._pose, self._pixel_slope, depth, ids, rgb, regions,
         )  # fmt: skip
 
-    def borders(self, rows: np.ndarray, regions: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-        """Pixels beside a border in rows of tiles; see `smoothing.find_borders`."""
-        pixels = np.empty(len(rows) * visibility.TILE * rgb.shape[1], np.int64)
-        return pixels[: smoothing.find_borders(rows, regions, rgb, pixels)]
-
-    def smooth(self, pixels: np.ndarray, rays: _Rays, rgb: np.ndarray) -> None:
-        """Draw pixels of the image again, with more rays."""
-        if len(pixels) == 0:
+    def smooth(self, pixels: np.ndarray, groups: np.ndarray, rays: _Rays, rgb: np.ndarray) -> None:
+        """Draw groups of smoothing.GROUP pixels of the image again, with more rays."""
+        if len(groups) == 0:
             return
+        size = smoothing.GROUP  # whole packets, so that a packet holds the same rays whoever draws it
+        pixels = np.concatenate([pixels[group * size : (group + 1) * size] for group in groups.tolist()])
         packets = -(-len(pixels) * smoothing.SAMPLES // visibility.TILE**2)
         shape = (packets * visibility.TILE, visibility.TILE)
         sample_x, sample_y = np.empty(shape, np.float32), np.empty(shape, np.float32)

@@ -13,6 +13,7 @@ from numba import njit
 
 TILE = 16  # pixels, as in `visibility`
 SAMPLES = 4
+GROUP = 8 * TILE * TILE // SAMPLES  # pixels that are drawn again together; they fill eight tiles with their rays
 # A rotated grid: no two samples share a row or a column, so that near-level and near-upright edges get four steps.
 _OFFSET_U = (np.float32(-0.125), np.float32(0.375), np.float32(-0.375), np.float32(0.125))
 _OFFSET_V = (np.float32(-0.375), np.float32(-0.125), np.float32(0.125), np.float32(0.375))
@@ -32,20 +33,18 @@ def _differ(regions, rgb, v, u, other_v, other_u):  # type: ignore[no-untyped-de
 
 
 @kernel
-def find_borders(rows, regions, rgb, pixels):  # type: ignore[no-untyped-def]
+def find_borders(rows, regions, rgb, pixels, counts):  # type: ignore[no-untyped-def]
     """List the pixels beside a visible border, tile by tile.
 
     Args:
         rows: (k,) int64 indices of the rows of tiles to look at.
         regions, rgb: as written by `shading.shade_rows`.
-        pixels: (k * TILE * W,) int64 out, v * W + u.
-
-    Returns:
-        How many were found.
+        pixels: (rows of tiles, TILE * W) int64 out, v * W + u.
+        counts: (rows of tiles,) int64 out, how many were found in each row.
     """
     height, width = regions.shape
-    count = 0
     for row in rows:
+        count = 0
         for u0 in range(0, width, TILE):
             for v in range(row * TILE, min(row * TILE + TILE, height)):
                 above, below = max(v - 1, 0), min(v + 1, height - 1)
@@ -62,9 +61,9 @@ def find_borders(rows, regions, rgb, pixels):  # type: ignore[no-untyped-def]
                         or _differ(regions, rgb, v, u, above, u)
                         or _differ(regions, rgb, v, u, below, u)
                     ):
-                        pixels[count] = v * width + u
+                        pixels[row, count] = v * width + u
                         count += 1
-    return count
+        counts[row] = count
 
 
 @kernel

@@ -13,6 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 import numpy as np
 
+SHARES_PER_THREAD = 4
+
 _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
@@ -32,14 +34,24 @@ def run_rows(work: Callable[[np.ndarray], None], num_rows: int, threads: int | N
     """Call work on disjoint sets of row indices that together are range(num_rows).
 
     Args:
-        work: takes (k,) int64 row indices; must not depend on the order of calls.
+        work: takes (k,) int64 row indices; must not depend on how the rows are divided, or on the order of calls.
         num_rows: how many rows there are.
         threads: how many calls run at once; None for `default_threads`.
     """
     count = min(threads or default_threads(), num_rows)
-    # Interleaved, because the rows of an image are not equally expensive.
-    shares = [np.arange(start, num_rows, count) for start in range(count)]
-    pending = [_pool(count - 1).submit(work, share) for share in shares[1:]] if count > 1 else []
-    work(shares[0])
+    if count <= 1:
+        work(np.arange(num_rows))
+        return
+    # Interleaved, because the rows of an image are not equally expensive; several a thread, so that one that the
+    # system holds up does not hold up the others.
+    num_shares = min(SHARES_PER_THREAD * count, num_rows)
+    shares = iter([np.arange(start, num_rows, num_shares) for start in range(num_shares)])
+
+    def work_off() -> None:
+        for share in shares:  # a list's iterator hands out each item once, whichever thread asks
+            work(share)
+
+    pending = [_pool(count - 1).submit(work_off) for _ in range(count - 1)]
+    work_off()
     for future in pending:
         future.result()
