@@ -50,7 +50,6 @@ class RobotSpec:
         camera: mount of the D435i.
         joint_signs, joint_offsets: (12,) translation to the URDF's angles.
         base_orientation: rotation from the URDF's base link to the canonical base frame, quaternion.
-        stance_half_width: lateral distance of the footholds from the hip joint outwards, metres.
     """
 
     name: str
@@ -100,8 +99,8 @@ def _unitree_toes() -> tuple[str, ...]:
     return tuple(f"{leg}_toe" for leg in LEGS)
 
 
-# Link lengths and torques: the URDFs in pybullet_data. The AlienGo trunk's collision box reaches to x = 0.32 m; the camera
-# sits on its front face. Its pitch lets the picture reach from the horizon down to the ground 0.4 m ahead of the lens.
+# Link lengths and torques: the URDFs in pybullet_data. The AlienGo trunk's collision box reaches to x = 0.32 m; the
+# camera sits on its front face. Its pitch shows everything from the horizon down to the ground 0.4 m ahead of the lens.
 _ALIENGO = RobotSpec(
     name="aliengo",
     urdf="aliengo/aliengo.urdf",

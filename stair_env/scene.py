@@ -7,6 +7,7 @@ labels of a data set are its edges. Shapes live in the stair frame (see `stair_e
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -42,7 +43,8 @@ class Shape:
         orientation: quaternion (x, y, z, w).
         size: box: half extents (x, y, z); sphere: (radius, 0, 0); cylinder, capsule: (radius, half length, 0), where
             a capsule's half length leaves out its round ends.
-        surface: what it is, which decides how it looks: "step", "floor", "wall", "rail", "stringer", "distractor:NAME", "robot".
+        surface: what it is, which decides how it looks: "step", "floor", "wall", "rail", "stringer", "robot",
+            "distractor:NAME".
         collides: whether the physics knows it (thin paint does not).
     """
 
@@ -54,11 +56,15 @@ class Shape:
     collides: bool = True
 
 
+def vector3(values: Sequence[float] | np.ndarray) -> Vector3:
+    """Three plain floats."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
 def box_between(low: Vector3, high: Vector3, surface: str) -> Shape:
     """Axis-aligned box from its two extreme corners, metres."""
-    centre = tuple((a + b) / 2 for a, b in zip(low, high))
-    half = tuple((b - a) / 2 for a, b in zip(low, high))
-    return Shape("box", centre, half, surface=surface)  # type: ignore[arg-type]
+    return Shape("box", vector3((np.add(low, high)) / 2), vector3(np.subtract(high, low) / 2), surface=surface)
 
 
 def build_stair_shapes(spec: StairSpec) -> tuple[Shape, ...]:
@@ -154,7 +160,8 @@ def _beam(start: np.ndarray, end: np.ndarray, radius: float, surface: str) -> Sh
     length = float(np.linalg.norm(along))
     rotation, _ = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])
     middle = (start + end) / 2
-    return Shape("cylinder", tuple(map(float, middle)), (radius, length / 2, 0.0), tuple(map(float, rotation.as_quat())), surface)
+    x, y, z, w = map(float, rotation.as_quat())
+    return Shape("cylinder", vector3(middle), (radius, length / 2, 0.0), (x, y, z, w), surface)
 
 
 def _handrails(spec: StairSpec) -> list[Shape]:
@@ -178,9 +185,9 @@ def _stringers(spec: StairSpec) -> list[Shape]:
         start, end = np.array([x[0], 0.0, z[0]]), np.array([x[1], 0.0, z[1]])
         along, pitch = end - start, -math.atan2(z[1] - z[0], x[1] - x[0])
         size = (float(np.linalg.norm(along)) / 2, STRINGER_THICKNESS_M / 2, spec.riser_height)
-        quaternion = tuple(map(float, Rotation.from_euler("y", pitch).as_quat()))
+        qx, qy, qz, qw = map(float, Rotation.from_euler("y", pitch).as_quat())
         for side in (1, -1):
             y = side * (spec.flight_width + STRINGER_THICKNESS_M) / 2
-            middle = ((start + end) / 2 + [0.0, y, -spec.riser_height / 2]).tolist()
-            shapes.append(Shape("box", tuple(middle), size, quaternion, "stringer"))  # type: ignore[arg-type]
+            middle = vector3((start + end) / 2 + [0.0, y, -spec.riser_height / 2])
+            shapes.append(Shape("box", middle, size, (qx, qy, qz, qw), "stringer"))
     return shapes
