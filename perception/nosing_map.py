@@ -26,6 +26,8 @@ ODOMETRY_SCALE_STD = 0.15  # of the factor by which odometry is off, before any 
 ODOMETRY_SCALE_WALK = 0.15  # of that factor, per square root of a metre walked
 ODOMETRY_NOISE = 0.03  # of the distance walked, beyond that factor
 ODOMETRY_SCALE_LIMIT = 0.45
+UNSEEN_STD_M = 0.02  # of a nosing that is only inferred
+UNSEEN_PATIENCE = 30  # more misses before it is given up: it may stay below the camera's view
 MAX_MISSES = 3  # more misses than hits beyond this, and a nosing was never there
 
 
@@ -157,6 +159,13 @@ class NosingMap:
             self._insert(float(measured[place]), float(std[place]))
         self._measure_lengths(nosings, measured)
         self._keep(self.misses <= self.hits + MAX_MISSES)
+
+    def extend_behind(self, count: int) -> None:
+        """Add nosings nearer than all known ones, a tread apart, that nobody has seen."""
+        for _ in range(count):
+            tread = self.tread.at(0, fallback=DEFAULT_TREAD_M)
+            self._insert(float(self.ahead[0]) - tread, UNSEEN_STD_M)
+            self.misses[0] = -UNSEEN_PATIENCE
 
     def _correct(self, index: np.ndarray, measured: np.ndarray, std: np.ndarray) -> None:
         seen = index + 1

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.estimate import StairEstimate
+from perception.estimate import Nosing, StairEstimate
 from perception.nosing_map import NosingMap
 from perception.odometry import PlanarOdometry, PlanarPose
 from stair_env.attitude import base_to_level
@@ -20,6 +20,8 @@ from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.robots import RobotSpec
 from stair_env.stairs import check_range
 from stair_env.viewpoints import look_along
+
+MAX_HIDDEN_EDGES = 2  # between the feet and the first nosing in view of a head camera
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,13 @@ class CameraPlacement:
     Attributes:
         forward_m, left_m: of the colour imager.
         heading_rad: of the optical axis, counter-clockwise from the base's forward direction.
+        ground_m: height of the ground under the front feet, relative to the imager; None when unknown.
     """
 
     forward_m: float
     left_m: float
     heading_rad: float
+    ground_m: float | None = None
 
 
 def mounted_camera_to_base(robot: RobotSpec) -> np.ndarray:
@@ -82,18 +86,24 @@ def mounted_camera_to_base(robot: RobotSpec) -> np.ndarray:
     return look_along(np.asarray(robot.camera.position), 0.0, robot.camera.pitch_down_rad)
 
 
-def place_camera(camera_to_base: np.ndarray, gravity_camera: np.ndarray) -> CameraPlacement:
-    """Camera in the levelled base frame, from the mount and gravity alone.
+def place_camera(
+    camera_to_base: np.ndarray, gravity_camera: np.ndarray, front_soles: np.ndarray | None = None
+) -> CameraPlacement:
+    """Camera in the levelled base frame, from the mount, gravity and the legs.
 
     Args:
         camera_to_base: (4, 4) mount.
         gravity_camera: (3,) accelerometer reading at rest in the camera frame, any unit.
+        front_soles: (n, 3) where front feet touch the ground, base frame, metres; None or empty when none does.
     """
     up = camera_to_base[:3, :3] @ np.asarray(gravity_camera, dtype=np.float64)
     level = base_to_level(up / np.linalg.norm(up))
     position = level @ camera_to_base[:3, 3]
     axis = level @ camera_to_base[:3, 2]
-    return CameraPlacement(float(position[0]), float(position[1]), math.atan2(float(axis[1]), float(axis[0])))
+    ground = None
+    if front_soles is not None and len(front_soles):
+        ground = float((front_soles @ level[2]).mean() - position[2])
+    return CameraPlacement(float(position[0]), float(position[1]), math.atan2(float(axis[1]), float(axis[0])), ground)
 
 
 class StairTracker:
@@ -184,18 +194,28 @@ class StairTracker:
         self._rejected = 0
         self._direction = estimate.direction
         self._update_heading(heading, math.hypot(estimate.yaw_std_rad, self.config.heading_std_rad))
+        fresh = len(self._map) == 0
         self._map.update(nosings, self._camera_offset(pose, camera))
+        if fresh:
+            self._add_hidden_edges(nosings[0], camera)
         self._captured_at = max(self._captured_at, captured_at_s)
         self._frames += 1
         return True
+
+    def _add_hidden_edges(self, nearest: Nosing, camera: CameraPlacement) -> None:
+        """Steps between the feet and the first nosing in view, known from how high the feet stand."""
+        if camera.ground_m is None or nearest.riser_m is None:
+            return
+        level_before = nearest.height_m - (nearest.riser_m if self._direction > 0 else 0.0)
+        hidden = round((level_before - camera.ground_m) * self._direction / nearest.riser_m)
+        self._map.extend_behind(min(max(hidden, 0), MAX_HIDDEN_EDGES))
 
     def _camera_offset(self, pose: PlanarPose, camera: CameraPlacement) -> float:
         """Camera at the time of the frame, along the stairs from where the base is now, metres."""
         now = self._odometry.pose
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
-        x = pose.x + cos * camera.forward_m - sin * camera.left_m - now.x
-        y = pose.y + sin * camera.forward_m + cos * camera.left_m - now.y
-        return self._along(x, y)
+        mount = self._along(cos * camera.forward_m - sin * camera.left_m, sin * camera.forward_m + cos * camera.left_m)
+        return mount - (1.0 + self._map.odometry_scale) * self._along(now.x - pose.x, now.y - pose.y)
 
     def _starts_another_flight(self, estimate: StairEstimate) -> bool:
         """Whether the known flight is behind the hips and the frame shows one that runs the other way."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -20,11 +21,21 @@ from perception.estimate import StairEstimate
 from perception.estimator import StairEstimator
 from perception.tracker import StairTracker, mounted_camera_to_base, place_camera
 from stair_env.camera.intrinsics import Intrinsics
+from stair_env.kinematics import LegKinematics
 from stair_env.observation import PROPRIO_SLICES, StairBlock, stair_space
 from stair_env.robots import RobotSpec
 
 NEEDED_KEYS = ("proprio", "imu", "rgb", "depth")
-GRAVITY_MEMORY = 96  # control steps: longer than the camera's latency
+BODY_MEMORY = 96  # control steps: longer than the camera's latency
+
+
+@dataclass(frozen=True)
+class _BodyMoment:
+    """Gravity in the camera frame (3,), and front feet on the ground (n, 3) in the base frame, at a time."""
+
+    time_s: float
+    gravity: np.ndarray
+    front_feet: np.ndarray
 
 
 class StairPerception:
@@ -40,6 +51,7 @@ class StairPerception:
         self.intrinsics = intrinsics
         self.tracker = tracker if tracker is not None else StairTracker(robot.hip_x[0])
         self._camera_to_base = mounted_camera_to_base(robot)
+        self._kinematics, self._foot_radius = LegKinematics(robot), robot.foot_radius
         self._attitude = CameraAttitude()
         self.reset(0.0)
 
@@ -47,7 +59,7 @@ class StairPerception:
         """Begin an episode."""
         self._attitude.reset()
         self.tracker.reset(time_s)
-        self._gravity: deque[tuple[float, np.ndarray]] = deque(maxlen=GRAVITY_MEMORY)
+        self._body: deque[_BodyMoment] = deque(maxlen=BODY_MEMORY)
         self._last_frame: int | None = None
         self.estimate = StairEstimate(valid=False, reason="no frame yet")
 
@@ -59,7 +71,9 @@ class StairPerception:
             imu: (k, 6) accelerometer and gyro samples in the camera frame, oldest first.
             time_s: now.
         """
-        self._gravity.append((time_s, self._attitude.update(imu)))
+        touching = proprio[PROPRIO_SLICES["contact"]][:2] > 0.5
+        feet = self._kinematics.foot_positions(proprio[PROPRIO_SLICES["joint_position"]].astype(np.float64))[:2]
+        self._body.append(_BodyMoment(time_s, self._attitude.update(imu), feet[touching]))
         velocity = proprio[PROPRIO_SLICES["velocity"]]
         yaw_rate = float(proprio[PROPRIO_SLICES["yaw_rate"]][0])
         self.tracker.advance(time_s, float(velocity[0]), float(velocity[1]), yaw_rate)
@@ -70,13 +84,18 @@ class StairPerception:
 
     def gravity_at(self, time_s: float) -> np.ndarray:
         """(3,) gravity in the camera frame at an earlier time, m/s^2."""
-        return min(self._gravity, key=lambda entry: abs(entry[0] - time_s))[1]
+        return self._body_at(time_s).gravity
+
+    def _body_at(self, time_s: float) -> _BodyMoment:
+        return min(self._body, key=lambda moment: abs(moment.time_s - time_s))
 
     def look(self, estimate: StairEstimate, frame: int, captured_at_s: float) -> None:
         """Take the estimate of a frame in."""
         self._last_frame, self.estimate = frame, estimate
-        camera = place_camera(self._camera_to_base, self.gravity_at(captured_at_s))
-        self.tracker.observe(estimate, captured_at_s, camera)
+        body = self._body_at(captured_at_s)
+        up = self._camera_to_base[:3, :3] @ (body.gravity / np.linalg.norm(body.gravity))
+        soles = body.front_feet - self._foot_radius * up
+        self.tracker.observe(estimate, captured_at_s, place_camera(self._camera_to_base, body.gravity, soles))
 
     def block(self) -> StairBlock:
         """The stair block for now."""
@@ -102,13 +121,14 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
         self, env: gym.Env[Any, Any], estimator: StairEstimator | None = None, tracker: StairTracker | None = None
     ) -> None:
         super().__init__(env)
-        space = env.observation_space
-        missing = [key for key in NEEDED_KEYS if not isinstance(space, spaces.Dict) or key not in space.spaces]
+        parts = env.observation_space.spaces if isinstance(env.observation_space, spaces.Dict) else {}
+        missing = [key for key in NEEDED_KEYS if key not in parts]
         if missing:
             raise ValueError(
-                f"PerceptionWrapper needs observations with {', '.join(NEEDED_KEYS)}; {env} lacks {missing}"
+                f"PerceptionWrapper needs observations with {', '.join(NEEDED_KEYS)}; {env} lacks {', '.join(missing)}"
             )
-        self.observation_space = spaces.Dict({"proprio": space["proprio"], "stair": stair_space()})
+        own_space: spaces.Space[Any] = spaces.Dict({"proprio": parts["proprio"], "stair": stair_space()})
+        self.observation_space = own_space
         self.estimator = estimator if estimator is not None else StairEstimator()
         base: Any = env.unwrapped
         self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)

@@ -288,6 +288,21 @@ def test_camera_placement_follows_pitch_and_roll() -> None:
     assert nose_up.heading_rad == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("direction", "sign"), [("up", 1), ("down", -1)])
+def test_edges_below_the_view_are_inferred_from_the_feet(direction: str, sign: int) -> None:
+    """The first nosing in view is the second one: the feet stand one riser away from its level."""
+    riser, tread = 0.15, 0.3
+    level = -0.45 + sign * riser  # of the ground before the first nosing in view, relative to the camera
+    nosing = Nosing(0.6, 0.005, level + (riser if sign > 0 else 0.0), 0.005, riser, 0.003, tread, 0.004)
+    estimate = StairEstimate(True, sign, nosings=(nosing,))
+    for ground, first in ((-0.45, 0.6 - tread), (level, 0.6)):
+        tracker = StairTracker(HIP)
+        tracker.observe(estimate, 0.0, CameraPlacement(0.34, 0.0, 0.0, ground_m=ground))
+        block = tracker.block()
+        assert block.edge_distance == pytest.approx(first + CAMERA.forward_m - HIP, abs=1e-6)
+        assert block.step_height == pytest.approx(riser)
+
+
 def test_step_is_cheap() -> None:
     walk = Walk(uneven("up"), drop=0.0)
     for _ in range(100):
