@@ -17,6 +17,7 @@ from policies.rollout import ERRORS, Episode, run_episode
 from policies.statistics import root_mean_square
 from stair_env.stairs import check_choice
 
+MAX_STEPS = 720  # 15 s; a flight takes about 7
 LIGHTINGS = {"day": ("day",), "night": ("night",), "both": ("day", "night")}
 DIRECTIONS = {"up": ("up",), "down": ("down",), "both": ("up", "down")}
 
@@ -120,6 +121,7 @@ def _make_env(config: DemoConfig, setting: Mapping[str, Any]) -> gym.Env:
         "riser_height": config.riser_height,
         "tread_depth": config.tread_depth,
         "render_mode": "rgb_array",
+        "max_episode_steps": MAX_STEPS,
         **setting,
         **config.env_kwargs,
     }

@@ -17,6 +17,7 @@ from stair_env.simulation import CONTROL_RATE_HZ
 
 STEPS_PER_FRAME = 4  # 12 frames a second: the robot's camera takes 15
 HOLD_FRAMES = 8  # of the last picture
+CRF = "26"  # H.264's constant quality: 18 looks lossless, 28 soft
 FRAME_ATTRIBUTE, PERCEPTION_ATTRIBUTE = "last_rgb", "perception"  # of perception.wrapper.PerceptionWrapper
 
 
@@ -27,7 +28,12 @@ def open_video(path: Path | str) -> Iterator[Any]:
 
     with atomic_path(path) as temporary:
         rate = CONTROL_RATE_HZ / STEPS_PER_FRAME
-        with imageio.get_writer(temporary, fps=rate, codec="libx264", quality=7, macro_block_size=16) as writer:
+        options: dict[str, Any] = {
+            "codec": "libx264",
+            "quality": None,
+            "output_params": ["-crf", CRF, "-preset", "veryfast"],
+        }
+        with imageio.get_writer(temporary, fps=rate, macro_block_size=16, **options) as writer:
             yield writer
 
 
