@@ -142,7 +142,6 @@ class Gait:
         self._feet[:, 2] = foot_heights
         self._swing_start = self._feet.copy()
         self._landing = self._feet.copy()
-        self._beyond_edge = np.zeros(4, bool)
         self._in_swing = np.zeros(4, bool)
         self._height = float(np.mean(foot_heights))
         self._pitch = pitch
@@ -250,27 +249,20 @@ class Gait:
         landing = self._neutral[leg].copy()
         landing[0] += speed * (swing_s + stance_s / 2)
         landing[:2] += catch
-        s = float(self._along_stairs(landing[None])[0])
-        edge, rise = self.map.nearest_edge(s)
-        # Before a drop the foot goes to whichever side asks the smaller detour of it.
-        threshold = edge + (self._room_after(rise) - self.config.nosing_margin) / 2
-        self._beyond_edge[leg] = s >= threshold
-        self._landing[leg] = landing
+        self._landing[leg] = self._clear(landing, choosing=True)
 
-    def _room_after(self, rise: float) -> float:
-        return self.config.nosing_margin if rise >= 0 else self.config.drop_margin
+    def _clear(self, landing: np.ndarray, choosing: bool = False) -> np.ndarray:
+        """Foothold (3,) moved clear of the edges, on the ground there."""
+        s = float(self._along_stairs(landing[None])[0])
+        margin = self.config.nosing_margin
+        clear = self.map.clear_of_edges(s, margin, margin, self.config.drop_margin, choosing)
+        return np.array([landing[0] + clear - s, landing[1], self.map.heights_at(np.array([clear]))[0]])
 
     def _fly(self, leg: int, progress: float, extra_clearance: float) -> None:
         """Rise first, then travel, then settle; the foothold follows the map until late in the swing."""
-        start, landing = self._swing_start[leg], self._landing[leg]
         if progress < 0.7:
-            s = float(self._along_stairs(landing[None])[0])
-            config = self.config
-            clear = self.map.clear_of_edges(
-                s, config.nosing_margin, config.nosing_margin, config.drop_margin, bool(self._beyond_edge[leg])
-            )
-            landing[0] += clear - s
-            landing[2] = self.map.heights_at(np.array([clear]))[0]
+            self._landing[leg] = self._clear(self._landing[leg])
+        start, landing = self._swing_start[leg], self._landing[leg]
         start_s, end_s = self._along_stairs(np.stack([start, landing]))
         clearance = self.config.clearance if self.map.knows_stairs else self.config.unknown_clearance
         apex = max(start[2], landing[2], self.map.highest_between(start_s, end_s)) + max(

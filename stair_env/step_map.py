@@ -133,33 +133,30 @@ class StepMap:
             return np.full(len(s), self._level_behind)
         return self._level_behind + (rise * (edge_s < s[:, None])).sum(axis=1)
 
-    def clear_of_edges(self, s: float, before: float, after: float, after_drop: float, beyond: bool) -> float:
-        """Nearest position clear of the closest edge.
+    def clear_of_edges(self, s: float, before: float, after: float, after_drop: float, choosing: bool = False) -> float:
+        """Nearest position on the same tread that is clear of its edges.
 
         Args:
             s: wanted position, metres.
             before: distance to keep on the near side of an edge, metres.
             after: the same on the far side of an edge that leads up.
             after_drop: the same on the far side of an edge that leads down, where the shin needs room behind it.
-            beyond: which side of the closest edge to stay on: True for the far side.
+            choosing: the tread is still to be chosen: next to a drop, take the one that asks the smaller detour.
+
+        Returns:
+            Position that stays where it is when it is passed in again, however the map is corrected by less than
+            the margins.
         """
         edge_s, rise = self.edges()
-        if not len(edge_s):
-            return s
-        closest = int(np.argmin(np.abs(edge_s - s)))
-        edge = edge_s[closest]
-        if beyond:
-            room = after if rise[closest] > 0 else after_drop
-            return float(max(s, edge + min(room, 0.6 * self._tread)))
-        return float(min(s, edge - min(before, 0.3 * self._tread)))
-
-    def nearest_edge(self, s: float) -> tuple[float, float]:
-        """Position and rise of the edge closest to s; an edge infinitely far behind when there is none."""
-        edge_s, rise = self.edges()
-        if not len(edge_s):
-            return -np.inf, 0.0
-        closest = int(np.argmin(np.abs(edge_s - s)))
-        return float(edge_s[closest]), float(rise[closest])
+        room = np.where(rise > 0, after, after_drop)
+        borders = edge_s + (room - before) / 2 if choosing else edge_s
+        behind = int((borders <= s).sum())  # edges on the near side of the tread
+        low, high = -np.inf, np.inf
+        if behind > 0:
+            low = edge_s[behind - 1] + min(room[behind - 1], 0.6 * self._tread)
+        if behind < len(edge_s):
+            high = edge_s[behind] - min(before, 0.3 * self._tread)
+        return float(max(min(s, high), low))
 
     def highest_between(self, start: float, end: float) -> float:
         """Highest ground on the way from start to end, metres."""

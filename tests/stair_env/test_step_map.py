@@ -68,13 +68,16 @@ def test_start_on_the_flight_fills_in_the_edges_between_the_feet():
     assert step_map.heights_at(np.array([-0.4]))[0] == pytest.approx(-0.30)
 
 
-@given(st.floats(0.0, 1.0), st.sampled_from([1.0, -1.0]), st.booleans())
-def test_clear_of_edges_keeps_its_distance(s, direction, beyond):
+@given(st.floats(-0.5, 1.5), st.sampled_from([1.0, -1.0]), st.booleans(), st.floats(-0.03, 0.03))
+def test_footholds_keep_their_distance_and_their_tread(s, direction, choosing, correction):
     step_map = StepMap()
     step_map.observe(block(0.3, direction), HIP)
-    edge, rise = step_map.nearest_edge(s)
-    placed = step_map.clear_of_edges(s, before=0.05, after=0.05, after_drop=0.09, beyond=beyond)
-    if beyond:
-        assert placed >= edge + (0.05 if rise > 0 else 0.09) - 1e-9
-    else:
-        assert placed <= edge - 0.05 + 1e-9
+    margins = {"before": 0.05, "after": 0.05, "after_drop": 0.09}
+    placed = step_map.clear_of_edges(s, **margins, choosing=choosing)
+    edges, rises = step_map.edges()
+    for edge, rise in zip(edges, rises):
+        assert placed <= edge - 0.05 + 1e-9 or placed >= edge + (0.05 if rise > 0 else 0.09) - 1e-9
+    assert abs(placed - s) <= 0.0701  # never further than the larger detour
+    # A correction of the map moves the foothold with its tread, it never jumps to another.
+    step_map.observe(block(0.3 + correction, direction), HIP)
+    assert abs(step_map.clear_of_edges(placed, **margins) - placed) <= abs(correction) + 1e-9
