@@ -41,7 +41,7 @@ class _Drawn:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Slopes x / z and y / z of rays, (H, W) float32, and their extremes in each tile."""
+    """Rays in tiles; see `visibility.trace_rows`."""
 
     x: np.ndarray
     y: np.ndarray
@@ -49,15 +49,24 @@ class _Rays:
 
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray) -> _Rays:
-        """Any rays."""
+        """Any rays, (rows of tiles, columns of tiles, AREA) float32."""
         return cls(x, y, visibility.tile_spans(x, y))
 
     @classmethod
     @functools.lru_cache(maxsize=8)
     def through_centres(cls, intrinsics: Intrinsics) -> _Rays:
-        """One through the centre of each pixel."""
-        rays = intrinsics.rays().astype(np.float32)
-        return cls.of(np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1]))
+        """One through the centre of each pixel, and of those that fill up the last tiles."""
+        tile = visibility.TILE
+        rows, columns = -(-intrinsics.height // tile), -(-intrinsics.width // tile)
+        u, v = (np.arange(count * tile) + 0.5 for count in (columns, rows))
+        slopes = np.meshgrid((u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy)
+        x, y = (
+            np.ascontiguousarray(
+                slope.astype(np.float32).reshape(rows, tile, columns, tile).transpose(0, 2, 1, 3)
+            ).reshape(rows, columns, visibility.AREA)
+            for slope in slopes
+        )
+        return cls.of(x, y)
 
 
 class RaycastRenderer:
@@ -141,7 +150,7 @@ class RaycastRenderer:
             run_rows(lambda rows: smoothing.find_borders(rows, regions, rgb, borders, counts), tiles, self._threads)
             pixels = np.concatenate([row[:count] for row, count in zip(borders, counts.tolist())])
             groups = -(-len(pixels) // smoothing.GROUP)
-            run_rows(lambda chosen: view.smooth(pixels, chosen, rays, rgb), groups, self._threads)
+            run_rows(lambda chosen: view.smooth(pixels, chosen, rgb), groups, self._threads)
         return Frame(rgb, depth, ids)
 
     def close(self) -> None:
@@ -165,6 +174,7 @@ class _View:
         self._rotations = solids.rotations.reshape(-1, 9).astype(np.float32)
         self._centres = solids.centres.astype(np.float32)
         self._pose = camera_to_world[:3].astype(np.float32).ravel()
+        self._principal = np.float32(intrinsics.cx), np.float32(intrinsics.cy)
         self._slope = np.float32(1.0 / intrinsics.fx), np.float32(1.0 / intrinsics.fy)
         self._pixel_slope = np.float32(1.0 / np.sqrt(intrinsics.fx * intrinsics.fy))
 
@@ -191,17 +201,17 @@ class _View:
             self._pose, self._pixel_slope, depth, ids, rgb, regions,
         )  # fmt: skip
 
-    def smooth(self, pixels: np.ndarray, groups: np.ndarray, rays: _Rays, rgb: np.ndarray) -> None:
+    def smooth(self, pixels: np.ndarray, groups: np.ndarray, rgb: np.ndarray) -> None:
         """Draw groups of smoothing.GROUP pixels of the image again, with more rays."""
         if len(groups) == 0:
             return
         size = smoothing.GROUP  # whole packets, so that a packet holds the same rays whoever draws it
         pixels = np.concatenate([pixels[group * size : (group + 1) * size] for group in groups.tolist()])
-        packets = -(-len(pixels) * smoothing.SAMPLES // visibility.TILE**2)
+        packets = -(-len(pixels) * smoothing.SAMPLES // visibility.AREA)
+        x, y = np.empty((2, packets, 1, visibility.AREA), np.float32)
+        smoothing.spread_rays(pixels, rgb.shape[1], *self._principal, *self._slope, x.reshape(-1), y.reshape(-1))
         shape = (packets * visibility.TILE, visibility.TILE)
-        sample_x, sample_y = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        smoothing.spread_rays(pixels, rays.x, rays.y, *self._slope, sample_x.reshape(-1), sample_y.reshape(-1))
         depth, ids, regions = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty(shape, np.int32)
         samples = np.empty((*shape, 3), np.uint8)
-        self.draw(np.arange(packets), _Rays.of(sample_x, sample_y), depth, ids, samples, regions)
+        self.draw(np.arange(packets), _Rays.of(x, y), depth, ids, samples, regions)
         smoothing.average_samples(pixels, samples.reshape(-1, 3), rgb)

@@ -442,19 +442,20 @@ def _occluders(low, high, light, side, solid_low, solid_high, solid_side, found)
 def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: ignore[no-untyped-def]
     """Fill the buffers from the images; returns how many different solids are seen, listed in present."""
     height, width = depth.shape
+    row, column = v0 // TILE, u0 // TILE
+    for k in range(AREA):
+        f[RX + k], f[RY + k] = rx[row, column, k], ry[row, column, k]
     if v0 + TILE <= height and u0 + TILE <= width:
-        for row in range(TILE):
-            for column in range(TILE):
-                k = row * TILE + column
-                f[RX + k], f[RY + k] = rx[v0 + row, u0 + column], ry[v0 + row, u0 + column]
-                f[T + k], n[ID + k] = depth[v0 + row, u0 + column], ids[v0 + row, u0 + column]
+        for v in range(TILE):
+            for u in range(TILE):
+                k = v * TILE + u
+                f[T + k], n[ID + k] = depth[v0 + v, u0 + u], ids[v0 + v, u0 + u]
     else:
         for k in range(AREA):
             v, u = v0 + k // TILE, u0 + k % TILE
             inside = v < height and u < width
             v, u = min(v, height - 1), min(u, width - 1)
-            f[RX + k], f[RY + k], f[T + k] = rx[v, u], ry[v, u], depth[v, u]
-            n[ID + k] = ids[v, u] if inside else -1
+            f[T + k], n[ID + k] = depth[v, u], ids[v, u] if inside else -1
     count, last = 0, -1
     for k in range(AREA):
         index = n[ID + k]
@@ -496,7 +497,7 @@ def shade_rows(  # type: ignore[no-untyped-def]
 
     Args:
         rows: (k,) int64 indices of the rows of tiles.
-        rx, ry: (H, W) float32 slopes of the rays.
+        rx, ry: (rows of tiles, columns of tiles, AREA) float32 slopes of the rays.
         kinds, sizes, m, o: of n solids, as for `visibility.trace_rows`.
         rotations: (n, 9) float32 local to world, row by row; centres: (n, 3) float32.
         shifts: (n, 3) float32 origin of the texture coordinates in the local frame.

@@ -17,6 +17,7 @@ GROUP = 8 * TILE * TILE // SAMPLES  # pixels that are drawn again together; they
 # A rotated grid: no two samples share a row or a column, so that near-level and near-upright edges get four steps.
 _OFFSET_U = (np.float32(-0.125), np.float32(0.375), np.float32(-0.375), np.float32(0.125))
 _OFFSET_V = (np.float32(-0.375), np.float32(-0.125), np.float32(0.125), np.float32(0.375))
+_CENTRE = np.float32(0.5)
 _MIN_CONTRAST = 16  # sum over the channels, of 765, from which on a border shows
 
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy")
@@ -67,23 +68,23 @@ def find_borders(rows, regions, rgb, pixels, counts):  # type: ignore[no-untyped
 
 
 @kernel
-def spread_rays(pixels, rx, ry, slope_x, slope_y, sample_x, sample_y):  # type: ignore[no-untyped-def]
+def spread_rays(pixels, width, cx, cy, slope_x, slope_y, sample_x, sample_y):  # type: ignore[no-untyped-def]
     """Slopes of SAMPLES rays through each pixel.
 
     Args:
         pixels: (n,) int64, at least one.
-        rx, ry: (H, W) float32 slopes through the pixel centres.
+        width: of the image, pixels.
+        cx, cy: float32 principal point, pixels.
         slope_x, slope_y: float32 change of slope from pixel to pixel.
         sample_x, sample_y: (s,) float32 out, s >= n * SAMPLES; what is left over repeats the last ray.
     """
-    width = rx.shape[1]
     used = 0
     for pixel in pixels:
         v = pixel // width
-        u = pixel - v * width
+        x, y = np.float32(pixel - v * width) + _CENTRE - cx, np.float32(v) + _CENTRE - cy
         for sample in range(SAMPLES):
-            sample_x[used] = rx[v, u] + slope_x * _OFFSET_U[sample]
-            sample_y[used] = ry[v, u] + slope_y * _OFFSET_V[sample]
+            sample_x[used] = (x + _OFFSET_U[sample]) * slope_x
+            sample_y[used] = (y + _OFFSET_V[sample]) * slope_y
             used += 1
     sample_x[used:] = sample_x[used - 1]
     sample_y[used:] = sample_y[used - 1]

@@ -17,7 +17,8 @@ import numpy as np
 from numba import njit
 
 BOX, SPHERE, CYLINDER, CAPSULE = 0, 1, 2, 3
-TILE = 16  # pixels; 256 rays fill the vector units and stay in the first-level cache
+TILE = 16  # pixels
+AREA = TILE * TILE  # rays that fill the vector units and stay in the first-level cache
 # No "nnan" and "ninf": a ray along a box face divides by zero on purpose.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -135,22 +136,28 @@ def hit_capsule(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no
         ids[k] = index if hit else ids[k]
 
 
-def tile_spans(rx: np.ndarray, ry: np.ndarray) -> np.ndarray:
+@kernel
+def tile_spans(rx, ry):  # type: ignore[no-untyped-def]
     """Smallest and largest slopes in each tile.
 
     Args:
-        rx, ry: (H, W) float32.
+        rx, ry: (rows of tiles, columns of tiles, AREA) float32.
 
     Returns:
         (rows of tiles, columns of tiles, 4) float32: lowest and highest of rx, lowest and highest of ry.
     """
-    tops, lefts = np.arange(0, rx.shape[0], TILE), np.arange(0, rx.shape[1], TILE)
-    parts = [
-        extreme.reduceat(extreme.reduceat(slopes, tops, axis=0), lefts, axis=1)
-        for slopes in (rx, ry)
-        for extreme in (np.minimum, np.maximum)
-    ]
-    return np.ascontiguousarray(np.stack(parts, axis=-1))
+    spans = np.empty((rx.shape[0], rx.shape[1], 4), np.float32)
+    for row in range(rx.shape[0]):
+        for column in range(rx.shape[1]):
+            x0, y0 = rx[row, column, 0], ry[row, column, 0]
+            x1, y1 = x0, y0
+            for k in range(AREA):
+                x, y = rx[row, column, k], ry[row, column, k]
+                x0, x1 = x if x < x0 else x0, x if x > x1 else x1
+                y0, y1 = y if y < y0 else y0, y if y > y1 else y1
+            spans[row, column, 0], spans[row, column, 1] = x0, x1
+            spans[row, column, 2], spans[row, column, 3] = y0, y1
+    return spans
 
 
 @kernel
@@ -244,17 +251,17 @@ def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _maximum(values, scratch):  # type: ignore[no-untyped-def]
-    """Largest of up to TILE * TILE values; by halving, which is faster than waiting for one result after another."""
-    if values.shape[0] < TILE * TILE:
-        return values.max()
-    for k in range(128):
-        scratch[k] = max(values[k], values[128 + k])
+    """Largest of AREA values; by halving, which is faster than waiting for one result after another."""
+    for k in range(AREA // 2):
+        a, b = values[k], values[AREA // 2 + k]
+        scratch[k] = a if a > b else b
     for half in (64, 32, 16):
         for k in range(half):
-            scratch[k] = max(scratch[k], scratch[half + k])
+            a, b = scratch[k], scratch[half + k]
+            scratch[k] = a if a > b else b
     found = scratch[0]
     for k in range(1, 16):
-        found = max(found, scratch[k])
+        found = scratch[k] if scratch[k] > found else found
     return found
 
 
@@ -264,7 +271,8 @@ def trace_rows(rows, rx, ry, spans, kinds, sizes, bounds, m, o, near, far, depth
 
     Args:
         rows: (k,) int64 indices of the rows of tiles to fill.
-        rx, ry: (H, W) float32 slopes of the rays; those of a tile should be close together.
+        rx, ry: (rows of tiles, columns of tiles, AREA) float32 slopes of the rays, row by row within a tile; those
+            of a tile should be close together. Tiles may reach beyond the image.
         spans: (rows of tiles, columns of tiles, 4) float32, as from `tile_spans`.
         kinds: (n,) int32; sizes: (n, 3) float32; bounds: (n, 3) float32 half extents of the local bounding boxes.
         m, o: as from `to_camera`.
@@ -273,45 +281,32 @@ def trace_rows(rows, rx, ry, spans, kinds, sizes, bounds, m, o, near, far, depth
         ids: (H, W) int32 out, -1 where nothing is hit.
     """
     height, width, n = depth.shape[0], depth.shape[1], kinds.shape[0]
-    buffer_x, buffer_y = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
-    buffer_depth, buffer_ids = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.int32)
+    tile_depth, tile_ids = np.empty(AREA, np.float32), np.empty(AREA, np.int32)
     entries, order = np.empty(n, np.float32), np.empty(n, np.int64)
-    every, in_row, scratch = np.arange(n), np.arange(n), np.empty(TILE * TILE // 2, np.float32)
+    every, in_row, scratch = np.arange(n), np.arange(n), np.empty(AREA // 2, np.float32)
     for row in rows:
-        v0 = row * TILE
-        v1 = min(v0 + TILE, height)
         # What a whole row cannot see, none of its tiles can.
         x0, x1, y0, y1 = spans[row, 0, 0], spans[row, 0, 1], spans[row, 0, 2], spans[row, 0, 3]
         for column in range(1, spans.shape[1]):
             x0, x1 = min(x0, spans[row, column, 0]), max(x1, spans[row, column, 1])
             y0, y1 = min(y0, spans[row, column, 2]), max(y1, spans[row, column, 3])
         candidates = _entries(every, n, x0, x1, y0, y1, m, o, bounds, far, entries, in_row)
-        for u0 in range(0, width, TILE):
-            u1 = min(u0 + TILE, width)
-            columns = u1 - u0
-            pixels = columns * (v1 - v0)
-            tile_x, tile_y = buffer_x[:pixels], buffer_y[:pixels]
-            tile_depth, tile_ids = buffer_depth[:pixels], buffer_ids[:pixels]
-            for v in range(v1 - v0):
-                for u in range(columns):
-                    tile_x[v * columns + u] = rx[v0 + v, u0 + u]
-                    tile_y[v * columns + u] = ry[v0 + v, u0 + u]
-            for k in range(pixels):
-                tile_depth[k] = far
-                tile_ids[k] = -1
-            span = spans[row, u0 // TILE]
-            x0, x1, y0, y1 = span[0], span[1], span[2], span[3]
+        for column in range(spans.shape[1]):
+            x0, x1, y0, y1 = spans[row, column, 0], spans[row, column, 1], spans[row, column, 2], spans[row, column, 3]
             found = _entries(in_row, candidates, x0, x1, y0, y1, m, o, bounds, far, entries, order)
             _sort_by(entries, order, found)
-            farthest = far
+            for k in range(AREA):
+                tile_depth[k], tile_ids[k] = far, -1
+            tile_x, tile_y, farthest = rx[row, column], ry[row, column], far
             for j in range(found):
                 if entries[j] >= farthest:
                     break
                 i = order[j]
                 _hit(kinds[i], tile_depth, tile_ids, tile_x, tile_y, m[i], o[i], sizes[i], near, np.int32(i))
                 farthest = _maximum(tile_depth, scratch)
-            for v in range(v1 - v0):
+            u0, columns = column * TILE, min(TILE, width - column * TILE)
+            for v in range(min(TILE, height - row * TILE)):
                 for u in range(columns):
-                    k = v * columns + u
-                    ids[v0 + v, u0 + u] = tile_ids[k]
-                    depth[v0 + v, u0 + u] = tile_depth[k] if tile_ids[k] >= 0 else _ZERO
+                    index = tile_ids[v * TILE + u]
+                    ids[row * TILE + v, u0 + u] = index
+                    depth[row * TILE + v, u0 + u] = tile_depth[v * TILE + u] if index >= 0 else _ZERO
