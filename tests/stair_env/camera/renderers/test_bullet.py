@@ -35,13 +35,13 @@ def floor_in(client):
     return SimpleNamespace(shapes=(floor,), edges=()), body
 
 
-def depth_errors(exact, other, num_shapes):
-    """Differences away from silhouettes, where the two see the same solid of the scene, metres."""
+def depth_errors(exact, other, shapes):
+    """Differences on boxes of the scene away from silhouettes, metres; Bullet draws round solids as prisms."""
     kernel = np.ones((5, 5), np.uint8)
     jump = cv2.dilate(exact.depth_m, kernel) - cv2.erode(exact.depth_m, kernel) > 0.05 + 0.05 * exact.depth_m
+    is_box = np.array([shape.kind == "box" for shape in shapes] + [False])  # the last for moving shapes
     same = (exact.segmentation == other.segmentation) & (exact.depth_m > 0) & (exact.depth_m < MAX_DEPTH_M)
-    # The robot's pictures are its meshes, its shapes are what collides: only the scene is compared.
-    same &= exact.segmentation < num_shapes
+    same &= is_box[np.minimum(exact.segmentation, len(shapes))]
     return np.abs(exact.depth_m - other.depth_m)[same & ~jump]
 
 
@@ -76,19 +76,22 @@ def agreement(seeds, robot="aliengo"):
             exact = make_renderer("raycast", scene, threads=1).render(INTRINSICS, pose, moving=moving)
             tiny = make_renderer("tiny", scene, simulation.client, bodies=simulation.ground)
             frame = tiny.render(INTRINSICS, pose)
-            yield depth_errors(exact, frame, len(scene.shapes)), exact, frame
+            yield depth_errors(exact, frame, scene.shapes), exact, frame, len(scene.shapes)
     finally:
         simulation.close()
 
 
 def check_agreement(seeds):
-    for errors, exact, frame in agreement(seeds):
+    for errors, exact, frame, num_shapes in agreement(seeds):
         if errors.size < 500:
             continue  # nothing but far floor or sky in view
         assert np.median(errors) <= MEDIAN_M
         assert np.quantile(errors, 0.99) <= PERCENTILE_99_M
-        assert ((exact.depth_m > 0) == (frame.depth_m > 0)).mean() > 0.99
-        assert (exact.segmentation == frame.segmentation).mean() > 0.8  # the rest is the robot
+        # The robot's pictures are its meshes, its shapes are what collides: only the scene is compared.
+        scene = np.maximum(exact.segmentation, frame.segmentation) < num_shapes
+        assert ((exact.depth_m > 0) == (frame.depth_m > 0))[scene].mean() > 0.995
+        flush = np.abs(exact.depth_m - frame.depth_m) < MEDIAN_M  # of two walls in one plane either may be named
+        assert ((exact.segmentation == frame.segmentation) | flush)[scene].mean() > 0.97
 
 
 def test_raycast_and_tiny_agree_in_a_handful_of_scenes():
