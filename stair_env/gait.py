@@ -19,6 +19,7 @@ from stair_env.robots import RobotSpec
 from stair_env.step_map import StepMap
 
 ACTION_SIZE = 16
+REFERENCE_HEIGHT_M = 0.38  # frequencies are those of a robot that stands so high; smaller ones swing faster (Froude)
 TROT_OFFSETS = np.array([0.0, 0.5, 0.5, 0.0])  # FR and RL swing together
 
 
@@ -36,7 +37,7 @@ class TrotStyle:
     frequency_hz: float
     speed_factor: float = 1.0
     capture_forward: float = 0.0
-    capture_lateral: float = 0.1
+    capture_lateral: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,14 @@ class GaitConfig:
 
     Attributes:
         level: style on flat ground and up stairs.
-        down: style down stairs: short, quick, slow-moving steps.
+        down: style down stairs: short, quick steps.
         swing_fraction: share of a leg's cycle in the air.
         flat_speed: on ground without stairs, m/s.
         clearance: of the swing's apex above the highest ground under it, metres.
         unknown_clearance: the same while no stairs have been heard of, metres.
         nosing_margin: footholds keep this far from edges, metres.
         drop_margin: and this far behind an edge that leads down, or the shin rests on the nosing, metres.
+        travel, drop_travel: part of the swing in which the foot moves forward; the same where it steps down.
         pitch_follow: share of the local slope that the trunk takes on.
         smoothing_s: time constant of trunk height and pitch.
         turn_gain: yaw rate per heading error, 1/s.
@@ -60,14 +62,16 @@ class GaitConfig:
         residual_smoothing: share of the new action that gets through each control step.
     """
 
-    level: TrotStyle = TrotStyle(frequency_hz=2.4)
-    down: TrotStyle = TrotStyle(frequency_hz=4.0, speed_factor=0.7, capture_forward=0.1, capture_lateral=0.2)
+    level: TrotStyle = TrotStyle(frequency_hz=2.4, capture_forward=0.05, capture_lateral=0.15)
+    down: TrotStyle = TrotStyle(frequency_hz=4.0, capture_forward=0.1, capture_lateral=0.2)
     swing_fraction: float = 0.5
     flat_speed: float = 0.35
     clearance: float = 0.06
     unknown_clearance: float = 0.12
     nosing_margin: float = 0.05
-    drop_margin: float = 0.09
+    drop_margin: float = 0.13
+    travel: tuple[float, float] = (0.15, 0.9)
+    drop_travel: tuple[float, float] = (0.05, 0.65)
     pitch_follow: float = 0.8
     smoothing_s: float = 0.15
     turn_gain: float = 1.5
@@ -123,6 +127,7 @@ class Gait:
         self.config = config
         self.map = StepMap()
         self._kinematics = LegKinematics(robot)
+        self._tempo = math.sqrt(REFERENCE_HEIGHT_M / robot.stand_height)
         self._neutral = robot.nominal_feet
         self._neutral[:, 2] = 0.0
         self.reset(np.zeros(4))
@@ -175,7 +180,7 @@ class Gait:
         self._velocity += (1 - math.exp(-dt / 0.1)) * (odometry_velocity[:2] - self._velocity)
         self._update_map(block, odometry_velocity, dt)
         style = self.config.down if self.map.direction < 0 else self.config.level
-        frequency = style.frequency_hz * modulation.frequency
+        frequency = style.frequency_hz * self._tempo * modulation.frequency
         speed = self._wanted_speed(block, frequency) * style.speed_factor * modulation.speed
         turn_rate = float(
             np.clip(self.config.turn_gain * self._heading_error, -self.config.max_turn_rate, self.config.max_turn_rate)
@@ -259,7 +264,11 @@ class Gait:
         return np.array([landing[0] + clear - s, landing[1], self.map.heights_at(np.array([clear]))[0]])
 
     def _fly(self, leg: int, progress: float, extra_clearance: float) -> None:
-        """Rise first, then travel, then settle; the foothold follows the map until late in the swing."""
+        """Rise, travel, settle; the foothold follows the map until late in the swing.
+
+        Upwards the foot rises before it travels, so that the toe clears the riser; downwards it travels before it
+        settles, so that the shin clears the nosing behind it.
+        """
         if progress < 0.7:
             self._landing[leg] = self._clear(self._landing[leg])
         start, landing = self._swing_start[leg], self._landing[leg]
@@ -268,7 +277,9 @@ class Gait:
         apex = max(start[2], landing[2], self.map.highest_between(start_s, end_s)) + max(
             clearance + extra_clearance, 0.02
         )
-        travel = _smoothstep((progress - 0.15) / 0.75)
+        drops = landing[2] < start[2] - 0.02
+        begin, end = self.config.drop_travel if drops else self.config.travel
+        travel = _smoothstep((progress - begin) / (end - begin))
         self._feet[leg, :2] = start[:2] + travel * (landing[:2] - start[:2])
         if progress < 0.5:
             self._feet[leg, 2] = start[2] + math.sin(math.pi * progress) ** 2 * (apex - start[2])
