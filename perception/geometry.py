@@ -13,15 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perception.drops import locate_drops
 from perception.estimate import Nosing, StepMeasurement
-from perception.faces import LineViews, fit_faces, sample_strips
-from perception.section import build_section, read_nosings, steps_of, walking_direction
+from perception.faces import Faces, LineViews, fit_faces, sample_strips
+from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
 OMEGA_M = 0.05  # the paper's threshold: smaller widths and heights are noise of one and the same face
 MIN_SUPPORT = 2  # cell predictions behind a line
 LINE_JITTER_PX = 0.5  # of a whole detected line, in pixels of the 512 x 512 image
 GRAVITY_STD_RAD = math.radians(0.7)  # fused attitude on a walking robot, with some margin
+DROP_JITTER_PX = 0.4  # of a line that both the detector and depth have placed
+DROP_SHARE = 0.4  # of depth in that place, where the two agree
+MAX_DISAGREEMENT_PX = 2.5  # of the two; where they are farther apart depth alone counts
+STRIP_IMAGE_WIDTH_PX = 640.0
 MAX_YAW_RAD = math.radians(70.0)
 
 
@@ -144,11 +149,14 @@ def measure_stairs(
     jitter_px = LINE_JITTER_PX * max(intrinsics.width, intrinsics.height) / 512.0
     views = _line_views(chosen, intrinsics, jitter_px)
     faces = fit_faces(strips, level_to_stair(yaw) @ level, views, gravity_std_rad)
-    section = build_section(faces, views, omega_m)
+    section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
         return Geometry(kinds=unknown, reason="no height differences between the lines")
-    nosings, edge_kinds = read_nosings(section, direction, views, faces, omega_m)
+    slopes = views.slopes(faces.camera_to_stair)
+    if direction == DOWN:
+        slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
+    nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
     kinds = list(unknown)
     for index, kind in edge_kinds.items():
         kinds[used[index]] = kind
@@ -161,6 +169,39 @@ def measure_stairs(
         tuple(kinds),
         "" if any(nosing.riser_m for nosing in nosings) else "no complete riser in view",
     )
+
+
+def _thickness(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(m + 1,) thickness of the strips between (m, 8) lines, nearest first, in pixels of a 640 pixels wide image."""
+    gaps = -np.diff(_height_at_middle(lines)) * STRIP_IMAGE_WIDTH_PX / intrinsics.width
+    return np.concatenate([[np.inf], gaps, [np.inf]])
+
+
+def _sharpen(
+    section: Section,
+    slopes: tuple[np.ndarray, np.ndarray],
+    lines: np.ndarray,
+    faces: Faces,
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the lines of descending nosings to where depth jumps; slopes as `LineViews.slopes` gives them."""
+    treads = find_drops(section)
+    if len(treads) == 0:
+        return slopes
+    low, high = lines[section.line[treads]], lines[section.last_line[treads]]
+    near, far = section.value[treads], section.value[treads + 1]
+    drops = locate_drops(low, high, near, far, depth_m, intrinsics, faces.camera_to_stair)
+    pixel = max(intrinsics.width, intrinsics.height) / 512.0
+    share = np.where(np.abs(drops.offset_px) < MAX_DISAGREEMENT_PX * pixel, DROP_SHARE, 1.0)
+    moved = low.copy()
+    moved[:, 5] -= np.where(drops.found, share * drops.offset_px, 0.0)
+    at_drop = _line_views(moved, intrinsics, DROP_JITTER_PX * pixel).slopes(faces.camera_to_stair)
+    value, std = slopes[0].copy(), slopes[1].copy()
+    index = section.line[treads]
+    value[index] = np.where(drops.found, at_drop[0], value[index])
+    std[index] = np.where(drops.found, at_drop[1], std[index])
+    return value, std
 
 
 def _line_views(lines: np.ndarray, intrinsics: Intrinsics, jitter_px: float) -> LineViews:
