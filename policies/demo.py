@@ -13,8 +13,7 @@ import numpy as np
 from policies import pretrained
 from policies.film import Film, open_video
 from policies.make_env import PERCEPTION_ID, make_env
-from policies.rollout import ERRORS, Episode, run_episode
-from policies.statistics import root_mean_square
+from policies.rollout import Episode, measurement_summary, run_episode
 from stair_env.stairs import check_choice
 
 MAX_STEPS = 720  # 15 s; a flight takes about 7
@@ -99,16 +98,11 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
                 env.close()
             episodes.append(episode)
             flights.append({**setting, **_describe(episode)})
-    measured = sum(episode.measured for episode in episodes)
-    errors = {
-        name: root_mean_square(sum(episode.squared_error_mm2[name] for episode in episodes), measured)
-        for name in ERRORS
-    }
     successes = sum(episode.success for episode in episodes)
     return {
         "success_rate": successes / len(episodes),
         "episodes": len(episodes),
-        "rmse_mm": errors,
+        **measurement_summary(episodes),
         "video": str(video),
         "policy": policy_name,
         "flights": flights,

@@ -21,9 +21,9 @@ import gymnasium as gym
 import numpy as np
 
 from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
-from policies.rollout import ERRORS, GRAVITY, Episode, Predictor, ZeroAction, run_episode
+from policies.rollout import GRAVITY, Episode, Predictor, ZeroAction, measurement_summary, run_episode
 from policies.stair_sets import DIRECTIONS, Cell, make_cells
-from policies.statistics import root_mean_square, wilson_interval
+from policies.statistics import wilson_interval
 from stair_env.robots import get_robot
 from stair_env.simulation import CONTROL_DT
 from stair_env.stairs import check_choice
@@ -241,12 +241,7 @@ def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> d
         "terminations": dict(sorted(Counter(episode.termination for episode in episodes).items())),
     }
     if perceived:
-        seen, measured = (sum(getattr(episode, name) for episode in episodes) for name in ("seen", "measured"))
-        summary["valid_fraction"] = measured / max(seen, 1)
-        summary["rmse_mm"] = {
-            name: root_mean_square(sum(episode.squared_error_mm2[name] for episode in episodes), measured)
-            for name in ERRORS
-        }
+        summary |= measurement_summary(episodes)
     return summary
 
 

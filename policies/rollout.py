@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
 
+from policies.statistics import root_mean_square
 from stair_env.observation import STAIR_FIELDS
 
 GRAVITY = 9.81  # m/s², of the cost of transport
 MM = 1000.0
 COMPARED = {"width": "step_width", "height": "step_height", "distance": "edge_distance"}  # error -> field of the block
-ERRORS = (*COMPARED, "nearest_edge")
+ERRORS = (*COMPARED, "same_edge_distance")
 StepHook = Callable[[Mapping[str, Any], Mapping[str, Any]], None]
 
 
@@ -60,9 +61,10 @@ class Episode:
         riser_hits: control steps in which a foot struck a riser, summed over feet.
         seen: control steps in which the truth has stairs ahead.
         measured: those of them in which the observation has, too.
-        squared_error_mm2: sums over `measured` of the squared differences: width, height, distance (to the next edge),
-            and nearest_edge, which is the distance's error where being one whole step off, as happens for a moment
-            when an edge is passed, counts as nothing.
+        same_edge: those of them in which both speak of the same edge, that is, their distances to the next one differ
+            by less than half a tread. Whoever passes an edge a moment late is a whole tread off until then.
+        squared_error_mm2: sums of the squared differences of width, height and distance (to the next edge) over
+            `measured`, and of same_edge_distance over `same_edge`.
     """
 
     seed: int
@@ -77,6 +79,7 @@ class Episode:
     riser_hits: int
     seen: int
     measured: int
+    same_edge: int
     squared_error_mm2: dict[str, float]
 
 
@@ -125,6 +128,7 @@ def run_episode(
         riser_hits=tally.riser_hits,
         seen=tally.seen,
         measured=tally.measured,
+        same_edge=tally.same_edge,
         squared_error_mm2=tally.squared_error_mm2,
     )
 
@@ -133,7 +137,7 @@ class _Tally:
     """Sums over an episode's control steps."""
 
     def __init__(self) -> None:
-        self.riser_hits = self.seen = self.measured = 0
+        self.riser_hits = self.seen = self.measured = self.same_edge = 0
         self.squared_error_mm2 = dict.fromkeys(ERRORS, 0.0)
 
     def add(self, observation: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
@@ -146,7 +150,26 @@ class _Tally:
             return
         self.measured += 1
         errors = {name: block[field] - truth[field] for name, field in COMPARED.items()}
-        shifts = (errors["distance"] + step * truth["step_width"] for step in (-1, 0, 1))
-        errors["nearest_edge"] = min(shifts, key=abs)
+        if abs(errors["distance"]) < truth["step_width"] / 2:
+            self.same_edge += 1
+            errors["same_edge_distance"] = errors["distance"]
         for name, error in errors.items():
             self.squared_error_mm2[name] += float((error * MM) ** 2)
+
+
+def measurement_summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """How well the stair block agrees with the truth over some episodes.
+
+    Returns:
+        `valid_fraction` of the control steps with stairs ahead, `same_edge_fraction` of the valid ones, and `rmse_mm`
+        with a number, or None where nothing was measured, for each of ERRORS.
+    """
+    seen, measured, same_edge = (sum(getattr(e, name) for e in episodes) for name in ("seen", "measured", "same_edge"))
+    counts = {**dict.fromkeys(COMPARED, measured), "same_edge_distance": same_edge}
+    return {
+        "valid_fraction": measured / max(seen, 1),
+        "same_edge_fraction": same_edge / max(measured, 1),
+        "rmse_mm": {
+            name: root_mean_square(sum(e.squared_error_mm2[name] for e in episodes), counts[name]) for name in ERRORS
+        },
+    }

@@ -25,25 +25,26 @@ from policies.make_env import CLIMB_ID, make_env
 from policies.rollout import Episode, ZeroAction, run_episode
 from policies.stair_sets import make_cells
 
-ERRORS_MM2 = {"width": 50.0, "height": 200.0, "distance": 0.0, "nearest_edge": 0.0}
+ERRORS_MM2 = {"width": 50.0, "height": 200.0, "distance": 0.0, "same_edge_distance": 225.0}
 SHORT = {"max_episode_steps": 20}
 
 
 def episode(**changes: Any) -> Episode:
     plain = Episode(
-        0,
-        True,
-        6,
-        6,
-        480,
-        1.0,
-        "success",
-        2.0,
-        400.0,
-        3,
-        100,
-        50,
-        ERRORS_MM2,
+        seed=0,
+        success=True,
+        steps_climbed=6,
+        num_steps=6,
+        control_steps=480,
+        total_reward=1.0,
+        termination="success",
+        distance_m=2.0,
+        energy_j=400.0,
+        riser_hits=3,
+        seen=100,
+        measured=50,
+        same_edge=25,
+        squared_error_mm2=ERRORS_MM2,
     )
     return dataclasses.replace(plain, **changes)
 
@@ -122,7 +123,8 @@ def test_summary_counts() -> None:
     assert summary["time_s"] == pytest.approx(10.0)
     assert summary["terminations"] == {"fall": 1, "success": 1}
     assert summary["valid_fraction"] == 0.5
-    assert summary["rmse_mm"] == {"width": 1.0, "height": 2.0, "distance": 0.0, "nearest_edge": 0.0}
+    assert summary["rmse_mm"] == {"width": 1.0, "height": 2.0, "distance": 0.0, "same_edge_distance": 3.0}
+    assert summary["same_edge_fraction"] == 0.5
     assert summary["cost_of_transport"] == pytest.approx(800.0 / (20.0 * 9.81 * 4.0))
 
 
