@@ -86,7 +86,7 @@ def _count(
             yield (splits_of(samples[index]) if name is None else (name,)), counts
 
 
-def as_rows(tallies: dict[str, Tally], model: str, width: float) -> list[dict[str, Any]]:
+def as_rows(tallies: dict[str, Tally], model: str, width: float | None) -> list[dict[str, Any]]:
     """One row a split, per cent rounded to 0.01; negatives also say in how many frames something was found."""
     rows = []
     for split, tally in tallies.items():

@@ -11,6 +11,7 @@ from stair_env.cli.common import add_common_arguments, choice_list, positive_int
 
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
 BACKEND_NAMES = ("onnx", "torch")
+SUITES = ("stairnetv2", "classical")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -20,8 +21,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="accuracy, recall and IOU of a detector",
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
-        "rendered first.",
+        "rendered first. --suite classical scores Gabor + Canny + Hough on the same frames instead, on colour and on "
+        "depth, with parameters found by a random search on validation frames.",
     )
+    parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
     parser.add_argument("--split", default="test", help="folder of the set to score (%(default)s)")
     parser.add_argument("--frames", type=positive_int, default=608, help="frames to render (%(default)s)")
@@ -36,17 +39,25 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--backend", choices=BACKEND_NAMES, default="onnx", help="what runs the network (%(default)s)")
     parser.add_argument("--workers", type=positive_int, default=1, help="processes that render (%(default)s)")
+    tuning = parser.add_argument_group("classical suite")
+    tuning.add_argument("--tune-data", type=Path, metavar="DIR", help="labelled set to tune on; --data when not given")
+    tuning.add_argument("--tune-split", default="val", help="folder of that set to tune on (%(default)s)")
+    tuning.add_argument("--tune-frames", type=positive_int, default=60, help="frames to tune on (%(default)s)")
+    tuning.add_argument("--trials", type=positive_int, default=60, help="candidates of the search (%(default)s)")
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, and print the table."""
+    return _run_classical(args) if args.suite == "classical" else _run_network(args)
+
+
+def _run_network(args: argparse.Namespace) -> int:
     from perception.dataset import StairDataset
     from perception.evaluation import as_rows, evaluate_detector
 
     backends = [(float(width), _backend(args, float(width))) for width in args.width]
-    root = args.data if args.data is not None else _rendered(args)
-    frames = StairDataset(root, args.split or None)
+    frames = StairDataset(_test_root(args), args.split or None)
     rows: list[dict[str, Any]] = []
     for width, backend in backends:
         bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
@@ -56,6 +67,33 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"rows": rows, "backend": args.backend}, seed=args.seed)
     return 0
+
+
+def _run_classical(args: argparse.Namespace) -> int:
+    from perception.baselines.suite import evaluate_classical
+    from perception.dataset import StairDataset
+
+    frames = StairDataset(_test_root(args), args.split or None)
+    validation = StairDataset(_tuning_root(args), args.tune_split or None)
+    report = evaluate_classical(
+        validation, frames, seed=args.seed, tune_frames=args.tune_frames, trials=args.trials, progress=progress
+    )
+    _print_table(report["rows"])
+    if args.json:
+        write_json(args.json, report, seed=args.seed)
+    return 0
+
+
+def _test_root(args: argparse.Namespace) -> Path:
+    return args.data if args.data is not None else _rendered(args, args.render_to, {"test": args.frames})
+
+
+def _tuning_root(args: argparse.Namespace) -> Path:
+    """Folder of the set to tune on; rendered beside the test set when there is none."""
+    if args.tune_data is not None or args.data is not None:
+        return args.tune_data if args.tune_data is not None else args.data
+    folder = args.render_to.with_name(f"{args.render_to.name}-validation")
+    return _rendered(args, folder, {"val": args.tune_frames})
 
 
 def _backend(args: argparse.Namespace, width: float) -> Any:
@@ -69,24 +107,24 @@ def _backend(args: argparse.Namespace, width: float) -> Any:
     return TorchBackend(network=load_weights(args.weights, width))
 
 
-def _rendered(args: argparse.Namespace) -> Path:
-    """Render a test set, or complete one that is there; returns its folder."""
+def _rendered(args: argparse.Namespace, root: Path, counts: dict[str, int]) -> Path:
+    """Render a set, or complete one that is there; returns its folder."""
     from perception.dataset_writer import DatasetPlan, complete, missing_frames, write_missing
 
-    plan = DatasetPlan(args.render_to, {"test": args.frames}, seed=args.seed)
+    plan = DatasetPlan(root, counts, seed=args.seed)
     total = len(missing_frames(plan))
     for _ in progress(write_missing(plan, args.workers), total=total, description="rendering"):
         pass
     complete(plan)
-    root: Path = args.render_to
     return root
 
 
 def _print_table(rows: list[dict[str, Any]]) -> None:
-    print(f"{'width':>6} {'split':<14} {'accuracy':>9} {'recall':>8} {'IOU':>8} {'frames':>7}")
+    print(f"{'model':<32} {'width':>6} {'split':<14} {'accuracy':>9} {'recall':>8} {'IOU':>8} {'frames':>7}")
     for row in rows:
         found = f"   something found in {row['false_frames']} % of them" if "false_frames" in row else ""
+        width = "" if row["width"] is None else f"{row['width']:g}"
         print(
-            f"{row['width']:>6g} {row['split']:<14} {row['accuracy']:>9.2f} {row['recall']:>8.2f} {row['iou']:>8.2f} "
-            f"{row['frames']:>7}{found}"
+            f"{row['model']:<32} {width:>6} {row['split']:<14} {row['accuracy']:>9.2f} {row['recall']:>8.2f} "
+            f"{row['iou']:>8.2f} {row['frames']:>7}{found}"
         )
