@@ -73,7 +73,9 @@ class RobotSpec:
     def __post_init__(self) -> None:
         for name, length in (("joint_names", 12), ("toe_names", 4), ("joint_signs", 12), ("joint_offsets", 12)):
             if len(getattr(self, name)) != length:
-                raise ValueError(f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}")
+                raise ValueError(
+                    f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}"
+                )
         check_range("stand_height", self.stand_height, 0.05, self.upper_length + self.lower_length)
 
     @property
@@ -133,8 +135,56 @@ _A1 = RobotSpec(
     mass=12.5,
     camera=CameraMount(position=(0.27, 0.0, 0.05), pitch_down_rad=0.40),
 )
+# Laikago's URDF has z forward and y up, and zero angles with the thigh 0.599 rad behind the vertical and the shank
+# 0.088 rad behind it. Its right abduction axes point backwards. Hip offsets: 0.0329 m right, 0.0352 m left; the mean.
+_LAIKAGO = RobotSpec(
+    name="laikago",
+    urdf="laikago/laikago_toes.urdf",
+    joint_names=tuple(
+        f"{leg}_{joint}_joint"
+        for leg in LEGS
+        for joint in ("hip_motor_2_chassis", "upper_leg_2_hip_motor", "lower_leg_2_upper_leg")
+    ),
+    toe_names=tuple(f"toe{leg}" for leg in LEGS),
+    hip_x=(0.2429, -0.1944),
+    hip_y=0.0817,
+    hip_offset=0.0340,
+    upper_length=0.2522,
+    lower_length=0.2510,
+    foot_radius=0.03,
+    stand_height=0.38,
+    max_torque=100.0,
+    mass=25.6,
+    camera=CameraMount(position=(0.34, 0.0, 0.06), pitch_down_rad=0.40),
+    joint_signs=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0) * 2,
+    joint_offsets=(0.0, -0.5990, 0.5112) * 4,
+    base_orientation=(-0.5, -0.5, -0.5, 0.5),
+)
+# The Mini Cheetah's URDF gives its motors no torque; 17 N·m is what its designer measured (Katz, Di Carlo and Kim,
+# "Mini Cheetah", ICRA 2019). Thighs and knees turn about -y. The camera sits before the front hips.
+_MINI_CHEETAH = RobotSpec(
+    name="mini_cheetah",
+    urdf="mini_cheetah/mini_cheetah.urdf",
+    joint_names=tuple(
+        joint.format(leg=leg)
+        for leg in ("fr", "fl", "hr", "hl")
+        for joint in ("torso_to_abduct_{leg}_j", "abduct_{leg}_to_thigh_{leg}_j", "thigh_{leg}_to_knee_{leg}_j")
+    ),
+    toe_names=("toe_fr", "toe_fl", "toe_hr", "toe_hl"),
+    hip_x=(0.19, -0.19),
+    hip_y=0.049,
+    hip_offset=0.062,
+    upper_length=0.209,
+    lower_length=0.18,
+    foot_radius=0.015,
+    stand_height=0.27,
+    max_torque=17.0,
+    mass=8.9,
+    camera=CameraMount(position=(0.24, 0.0, 0.04), pitch_down_rad=0.40),
+    joint_signs=(1.0, -1.0, -1.0) * 4,
+)
 
-ROBOTS: dict[str, RobotSpec] = {robot.name: robot for robot in (_ALIENGO, _A1)}
+ROBOTS: dict[str, RobotSpec] = {robot.name: robot for robot in (_ALIENGO, _A1, _LAIKAGO, _MINI_CHEETAH)}
 
 
 def get_robot(name: str) -> RobotSpec:
