@@ -13,8 +13,14 @@ __version__ = "0.1.0"
 
 MAX_EPISODE_STEPS = 1200  # 25 s at 48 Hz
 _ENTRY_POINTS: dict[str, dict[str, Any]] = {
-    "stair_env/StairClimb-v0": {"entry_point": "stair_env.env:StairClimbEnv"},
-    "stair_env/StairClimbRGBD-v0": {"entry_point": "stair_env.rgbd:StairClimbRgbdEnv"},
+    "stair_env/StairClimb-v0": {
+        "entry_point": "stair_env.env:StairClimbEnv",
+        "vector_entry_point": "stair_env.vector:make_climb_vec",
+    },
+    "stair_env/StairClimbRGBD-v0": {
+        "entry_point": "stair_env.rgbd:StairClimbRgbdEnv",
+        "vector_entry_point": "stair_env.vector:make_rgbd_vec",
+    },
     "stair_env/StairClimbPerception-v0": {"entry_point": "perception.environment:make_perception_env"},
 }
 ENV_IDS = tuple(_ENTRY_POINTS)

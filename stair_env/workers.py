@@ -1,0 +1,350 @@
+"""Environments in worker processes: few workers with several environments each, and no silence when one dies.
+
+One exchange of messages per environment and step costs more than the physics, so there are no more workers than cores;
+each steps its share of the environments in turn (`stair_env.worker_process`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import signal
+import time
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
+from typing import Any, NoReturn
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector.utils import CloudpickleWrapper
+
+from stair_env.shared_arrays import ArrayLayout, SharedArrays
+from stair_env.stairs import check_choice
+from stair_env.worker_process import OBSERVATION, EnvFactory, Failure, StepInfo, WorkerTask, run_worker
+
+CLOSE_TIMEOUT_S = 5.0  # a worker that has not gone by then is killed
+DEATH_CHECK_S = 1.0  # upper bound on how late a timeout is noticed
+BUILDING = "construction"
+EXIT_GRACE_S = 2.0  # for the exit code of a process whose pipe broke
+
+
+class WorkerError(RuntimeError):
+    """A worker process died, fell silent, or one of its environments raised."""
+
+
+class WorkerPool:
+    """Runs environments in processes.
+
+    Args:
+        factories: one per environment; anything that cloudpickle can send.
+        observation_space: of one environment, a Dict of Boxes.
+        action_space: of one environment.
+        autoreset: "next_step", "same_step" or "disabled" (the caller resets).
+        workers: number of processes; None takes the number of cores, at most one per environment.
+        context: "fork", "forkserver" or "spawn"; None takes "forkserver" where there is one, else "spawn".
+        timeout_s: how long a worker may take for one request.
+
+    Raises:
+        ValueError: an argument is wrong.
+        WorkerError: a worker could not be started.
+    """
+
+    def __init__(
+        self,
+        factories: Sequence[EnvFactory],
+        observation_space: spaces.Dict,
+        action_space: spaces.Box,
+        *,
+        autoreset: str,
+        workers: int | None = None,
+        context: str | None = None,
+        timeout_s: float = 300.0,
+    ) -> None:
+        check_choice("autoreset", autoreset, ("next_step", "same_step", "disabled"))
+        self.num_envs = len(factories)
+        self._timeout_s = timeout_s
+        self._broken: str | None = None
+        self._pending = False
+        self._number = 0  # of the last request; an answer to an older one (Ctrl-C left it unread) is dropped
+        ctx = _context(context)
+        arrays = SharedArrays(_layout(self.num_envs, observation_space, action_space), ctx)
+        views = arrays.views()
+        self.observation = {key: views[OBSERVATION + key] for key in observation_space.spaces}
+        self.actions, self.rewards = views["action"], views["reward"]
+        self.terminated, self.truncated = views["terminated"], views["truncated"]
+        self._processes: list[BaseProcess] = []
+        self._connections: list[Connection] = []
+        self.shares = _shares(self.num_envs, _worker_count(workers, self.num_envs))
+        # The finalizer knows the lists and not the pool, so that a pool nobody holds any more ends its processes.
+        self._finalizer = weakref.finalize(self, _end, os.getpid(), self._processes, self._connections)
+        try:
+            for share in self.shares:
+                task = WorkerTask(
+                    [factories[i] for i in share], share.start, autoreset == "next_step", autoreset == "same_step"
+                )
+                self._start(ctx, task, arrays)
+            self._collect(range(len(self.shares)), BUILDING)
+        except BaseException:
+            self.close()
+            raise
+
+    # ------------------------------------------------------------------ what can be asked
+
+    def begin_step(self, actions: np.ndarray) -> None:
+        """Have every environment make a step.
+
+        Args:
+            actions: (num_envs, action size).
+
+        Raises:
+            ValueError: wrong shape.
+            WorkerError: the pool is closed or broken, or a step is under way already.
+        """
+        actions = np.asarray(actions)
+        if actions.shape != self.actions.shape:
+            raise ValueError(f"actions have shape {actions.shape}, must be {self.actions.shape}")
+        self._check_ready()
+        self.actions[:] = actions
+        self._send(range(len(self.shares)), lambda worker: ("step", ()))
+        self._pending = True
+
+    def finish_step(self) -> list[StepInfo]:
+        """Wait for the step; the shared arrays hold its results until the next.
+
+        Raises:
+            WorkerError: see the class.
+        """
+        if not self._pending:
+            raise WorkerError("no step is under way")
+        self._pending = False
+        return self._gather(range(len(self.shares)), "step()")
+
+    def reset(self, requests: Mapping[int, tuple[int | None, dict[str, Any] | None]]) -> dict[int, dict[str, Any]]:
+        """Begin episodes.
+
+        Args:
+            requests: (seed, options) by index of the environment.
+
+        Returns:
+            The infos by index.
+        """
+        return self._ask(list(requests), "reset", lambda own: ([(i, *requests[i]) for i in own],))
+
+    def call(self, indices: Sequence[int], name: str, *args: Any, **kwargs: Any) -> list[Any]:
+        """Call a method of environments, or read an attribute, through their wrappers.
+
+        Raises:
+            AttributeError: there is no such attribute.
+        """
+        results = self._ask(indices, "call", lambda own: (own, name, args, kwargs))
+        return [results[i] for i in indices]
+
+    def set_attribute(self, indices: Sequence[int], name: str, values: Sequence[Any]) -> None:
+        """Set an attribute of environments, one value each."""
+        chosen = dict(zip(indices, values, strict=True))
+        self._ask(indices, "set", lambda own: (own, name, [chosen[i] for i in own]))
+
+    def wrapper_classes(self, indices: Sequence[int]) -> list[list[tuple[str, str]]]:
+        """(module, name) of the classes of each environment and its wrappers, base classes included."""
+        results = self._ask(indices, "classes", lambda own: (own,))
+        return [results[i] for i in indices]
+
+    def close(self) -> None:
+        """End the workers; safe to call twice."""
+        self._broken = self._broken or "the environments are closed"
+        self._finalizer()
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the workers."""
+        return [process.pid or 0 for process in self._processes]
+
+    # ------------------------------------------------------------------ exchange
+
+    def _start(self, ctx: BaseContext, task: WorkerTask, arrays: SharedArrays) -> None:
+        ours, theirs = ctx.Pipe()
+        name = f"stair_env-worker-{len(self._processes)}"
+        arguments = (CloudpickleWrapper(_Returns(task)), arrays, theirs)
+        process = ctx.Process(target=run_worker, args=arguments, name=name, daemon=True)  # type: ignore[attr-defined]
+        process.start()
+        theirs.close()
+        self._processes.append(process)
+        self._connections.append(ours)
+
+    def _ask(
+        self, indices: Sequence[int], command: str, arguments: Callable[[list[int]], tuple[Any, ...]]
+    ) -> dict[int, Any]:
+        """Send a request to the workers of these environments; results by index (None where there are none)."""
+        self._check_ready()
+        own = {worker: [i for i in indices if i in share] for worker, share in enumerate(self.shares)}
+        asked = [worker for worker, chosen in own.items() if chosen]
+        self._send(asked, lambda worker: (command, arguments(own[worker])))
+        order = [i for worker in asked for i in own[worker]]
+        results = self._gather(asked, f"{command}()")
+        return dict(zip(order, results, strict=False))
+
+    def _send(self, workers: Sequence[int], request: Callable[[int], Any]) -> None:
+        self._number += 1
+        for worker in workers:
+            try:
+                self._connections[worker].send((self._number, *request(worker)))
+            except (BrokenPipeError, ConnectionResetError):
+                self._report_death(worker, "idleness")
+
+    def _gather(self, workers: Sequence[int], doing: str) -> list[Any]:
+        answers = self._collect(workers, doing)
+        return [result for worker in workers for result in answers[worker] or ()]
+
+    def _collect(self, workers: Sequence[int], doing: str) -> dict[int, Any]:
+        """One answer from each worker; watches that none dies or falls silent meanwhile."""
+        answers: dict[int, Any] = {}
+        deadline = time.monotonic() + self._timeout_s
+        while len(answers) < len(workers):
+            waiting = [worker for worker in workers if worker not in answers]
+            watched: list[Any] = [self._connections[worker] for worker in waiting]
+            watched += [self._processes[worker].sentinel for worker in waiting]
+            if not wait(watched, DEATH_CHECK_S) and time.monotonic() > deadline:
+                self._break(f"{self._name(waiting[0])} has not answered for {self._timeout_s:g} s ({doing})")
+            for worker in waiting:
+                if self._connections[worker].poll():
+                    number, answer = self._receive(worker, doing)
+                    if number == self._number:
+                        answers[worker] = answer
+                elif not self._processes[worker].is_alive():
+                    self._report_death(worker, doing)
+        self._raise_failure(answers, doing)
+        return answers
+
+    def _receive(self, worker: int, doing: str) -> tuple[int, Any]:
+        try:
+            answer: tuple[int, Any] = self._connections[worker].recv()
+        except (EOFError, OSError):
+            self._report_death(worker, doing)
+        return answer
+
+    def _raise_failure(self, answers: Mapping[int, Any], doing: str) -> None:
+        for worker, answer in answers.items():
+            if isinstance(answer, Failure):
+                text = f"environment {answer.index} of worker {worker} raised in {doing}:\n{answer.text}"
+                raise AttributeError(text) if answer.is_attribute_error and doing == "call()" else WorkerError(text)
+
+    def _report_death(self, worker: int, doing: str) -> NoReturn:
+        process = self._processes[worker]
+        process.join(EXIT_GRACE_S)
+        hint = ""
+        if doing == BUILDING:
+            hint = '; with spawn and forkserver a script needs `if __name__ == "__main__":` around what it starts'
+        self._break(f"{self._name(worker)} died in {doing}: {_exit_cause(process.exitcode)}{hint}")
+
+    def _break(self, message: str) -> NoReturn:
+        """Give the pool up: the other workers' state is worth nothing without this one."""
+        self._broken = message
+        for process in self._processes:
+            process.kill()
+        self._finalizer()
+        raise WorkerError(message)
+
+    def _check_ready(self) -> None:
+        if self._broken:
+            raise WorkerError(self._broken)
+        if self._pending:
+            raise WorkerError("a step is under way: finish it first")
+
+    def _name(self, worker: int) -> str:
+        share = self.shares[worker]
+        which = f"environment {share[0]}" if len(share) == 1 else f"environments {share[0]}-{share[-1]}"
+        return f"worker {worker} ({which}, process {self._processes[worker].pid})"
+
+
+class _Returns:
+    """A function that returns one value, for cloudpickle's wrapper."""
+
+    def __init__(self, value: Any) -> None:
+        self._value = value
+
+    def __call__(self) -> Any:
+        return self._value
+
+
+def _context(name: str | None) -> BaseContext:
+    available = multiprocessing.get_all_start_methods()
+    if name is None:
+        name = "forkserver" if "forkserver" in available else "spawn"
+    check_choice("context", name, tuple(available))
+    return multiprocessing.get_context(name)
+
+
+def _worker_count(workers: int | None, num_envs: int) -> int:
+    if num_envs < 1:
+        raise ValueError(f"num_envs={num_envs!r} must be >= 1")
+    if workers is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return min(cores, num_envs)
+    if not 1 <= workers <= num_envs:
+        raise ValueError(f"workers={workers!r} must be within 1..{num_envs} (num_envs)")
+    return workers
+
+
+def _shares(num_envs: int, workers: int) -> list[range]:
+    """Environments in order, dealt as evenly as can be."""
+    bounds = np.linspace(0, num_envs, workers + 1).round().astype(int).tolist()
+    return [range(low, high) for low, high in itertools.pairwise(bounds)]
+
+
+def _layout(num_envs: int, observation_space: spaces.Dict, action_space: spaces.Box) -> ArrayLayout:
+    layout: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {
+        "action": ((num_envs, *action_space.shape), np.dtype(action_space.dtype)),
+        "reward": ((num_envs,), np.dtype(np.float64)),
+        "terminated": ((num_envs,), np.dtype(bool)),
+        "truncated": ((num_envs,), np.dtype(bool)),
+    }
+    for key, space in observation_space.spaces.items():
+        if not isinstance(space, spaces.Box):
+            raise ValueError(f"observation {key!r} is {space}, must be a Box")
+        layout[OBSERVATION + key] = ((num_envs, *space.shape), np.dtype(space.dtype))
+    return layout
+
+
+def _exit_cause(exitcode: int | None) -> str:
+    if exitcode is None:
+        return "its pipe broke"
+    if exitcode >= 0:
+        return f"exit code {exitcode}"
+    try:
+        return f"exit code {exitcode} ({signal.Signals(-exitcode).name})"
+    except ValueError:
+        return f"exit code {exitcode}"
+
+
+def _end(owner: int, processes: list[BaseProcess], connections: list[Connection]) -> None:
+    """Ask the workers to go, kill those that do not; only in the process that started them."""
+    if os.getpid() != owner:
+        return
+    deadline = time.monotonic() + CLOSE_TIMEOUT_S
+    for connection in connections:
+        try:
+            connection.send(None)
+        except OSError:
+            continue
+    while (alive := [p for p in processes if p.is_alive()]) and time.monotonic() < deadline:
+        for connection in connections:  # an answer that nobody reads would keep its worker from going
+            _drain(connection)
+        wait([process.sentinel for process in alive], 0.1)
+    for process in processes:
+        if process.is_alive():
+            process.kill()
+        process.join()
+    for connection in connections:
+        connection.close()
+
+
+def _drain(connection: Connection) -> None:
+    try:
+        while connection.poll():
+            connection.recv_bytes()
+    except (EOFError, OSError):
+        return
