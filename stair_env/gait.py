@@ -3,7 +3,7 @@
 Everything is planned in the *walking frame*: origin at the base's ground projection, x along the heading, z up with
 zero at the ground on which the episode began. The planner is kinematic: feet in stance move backwards with the wanted
 velocity, feet in swing fly to footholds clear of the nosings. A policy modulates it (see `GaitAction`); with a zero
-action it is the control named "gait".
+action it is the control named "gait". Four feet are too few for arrays to pay: points are lists of three floats.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ from stair_env.robots import RobotSpec
 from stair_env.step_map import StepMap
 
 ACTION_SIZE = 16
+VELOCITY_SMOOTHING_S = 0.1  # of the measured velocity that feet are placed to catch
 REFERENCE_HEIGHT_M = 0.38  # frequencies are those of a robot that stands so high; smaller ones swing faster (Froude)
-TROT_OFFSETS = np.array([0.0, 0.5, 0.5, 0.0])  # FR and RL swing together
+TROT_OFFSETS = (0.0, 0.5, 0.5, 0.0)  # FR and RL swing together
+
+Point = list[float]  # x, y, z in the walking frame, metres
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,7 @@ class Gait:
         self.map = StepMap()
         self._kinematics = LegKinematics(robot)
         self._tempo = math.sqrt(REFERENCE_HEIGHT_M / robot.stand_height)
-        self._neutral = robot.nominal_feet
-        self._neutral[:, 2] = 0.0
+        self._neutral: list[Point] = [[x, y, 0.0] for x, y, _ in robot.nominal_feet.tolist()]
         self.reset(np.zeros(4))
 
     def reset(self, foot_heights: np.ndarray, phase: float = 0.0, pitch: float = 0.0) -> None:
@@ -143,22 +145,26 @@ class Gait:
         self.phase = phase
         self.map.reset()
         self._first_block = True
-        self._feet = self._neutral.copy()  # planned footholds, walking frame
-        self._feet[:, 2] = foot_heights
-        self._swing_start = self._feet.copy()
-        self._landing = self._feet.copy()
-        self._in_swing = np.zeros(4, bool)
-        self._height = float(np.mean(foot_heights))
+        heights = np.asarray(foot_heights).tolist()
+        self._feet = [[x, y, z] for (x, y, _), z in zip(self._neutral, heights)]
+        self._swing_start = [point.copy() for point in self._feet]
+        self._landing = [point.copy() for point in self._feet]
+        self._in_swing = [False] * 4
+        self._height = sum(heights) / 4
         self._pitch = pitch
         self._action = np.zeros(ACTION_SIZE)
         self._heading_error = 0.0
-        self._velocity = np.zeros(2)
+        self._velocity_forward, self._velocity_left = 0.0, 0.0
 
     @property
     def foothold_heights(self) -> np.ndarray:
         """(4,) planned foothold of each foot relative to their mean, metres."""
-        heights = np.where(self._in_swing, self._landing[:, 2], self._feet[:, 2])
-        return heights - heights.mean()
+        planned = [
+            landing[2] if in_swing else foot[2]
+            for in_swing, landing, foot in zip(self._in_swing, self._landing, self._feet)
+        ]
+        mean = sum(planned) / 4
+        return np.array([height - mean for height in planned])
 
     def joint_targets(
         self, action: np.ndarray, block: StairBlock, odometry_velocity: np.ndarray, dt: float
@@ -175,93 +181,95 @@ class Gait:
             (12,) canonical joint angles, radians.
         """
         smoothing = self.config.residual_smoothing
-        self._action = (1 - smoothing) * self._action + smoothing * np.clip(action, -1.0, 1.0)
+        self._action = (1 - smoothing) * self._action + smoothing * np.minimum(np.maximum(action, -1.0), 1.0)
         modulation = GaitAction.from_array(self._action, self.config)
-        self._velocity += (1 - math.exp(-dt / 0.1)) * (odometry_velocity[:2] - self._velocity)
-        self._update_map(block, odometry_velocity, dt)
+        forward, left = float(odometry_velocity[0]), float(odometry_velocity[1])
+        share = 1 - math.exp(-dt / VELOCITY_SMOOTHING_S)
+        self._velocity_forward += share * (forward - self._velocity_forward)
+        self._velocity_left += share * (left - self._velocity_left)
+        self._update_map(block, forward, left, dt)
         style = self.config.down if self.map.direction < 0 else self.config.level
         frequency = style.frequency_hz * self._tempo * modulation.frequency
         speed = self._wanted_speed(block, frequency) * style.speed_factor * modulation.speed
-        turn_rate = float(
-            np.clip(self.config.turn_gain * self._heading_error, -self.config.max_turn_rate, self.config.max_turn_rate)
-        )
+        limit = self.config.max_turn_rate
+        turn_rate = min(max(self.config.turn_gain * self._heading_error, -limit), limit)
         self._carry_feet_back(speed, turn_rate, dt)
-        unwanted = self._velocity - [speed, 0.0]
-        catch = unwanted * [style.capture_forward, style.capture_lateral]
+        catch = (
+            (self._velocity_forward - speed) * style.capture_forward,
+            self._velocity_left * style.capture_lateral,
+        )
         self._step_feet(frequency, speed, catch, modulation.clearance, dt)
         self._follow_ground(dt)
         return self._kinematics.joint_angles(self._feet_in_base(modulation.pitch) + modulation.feet)
 
-    def _update_map(self, block: StairBlock, odometry_velocity: np.ndarray, dt: float) -> None:
+    def _update_map(self, block: StairBlock, forward: float, left: float, dt: float) -> None:
         if block.valid >= 0.5:
-            self._heading_error = block.heading_error
+            self._heading_error = float(block.heading_error)
         else:
             self._heading_error *= math.exp(-dt / 0.5)
-        along = np.array([math.cos(self._heading_error), math.sin(self._heading_error)])
-        self.map.advance(float(odometry_velocity[:2] @ along) * dt, dt)
-        self.map.observe(block, self.robot.hip_x[0] * along[0])
+        self._cos, self._sin = math.cos(self._heading_error), math.sin(self._heading_error)
+        self.map.advance(self._along_stairs(forward, left) * dt, dt)
+        self.map.observe(block, self.robot.hip_x[0] * self._cos)
         if self._first_block and block.valid >= 0.5:
             self._first_block = False
             self._start_on_map()
 
     def _start_on_map(self) -> None:
         """Reconcile the map with the heights at which the feet were found standing."""
-        front, rear = self._feet[:2, 2].mean(), self._feet[2:, 2].mean()
-        self.map.assume_on_flight(front - rear)
-        self._feet[:, 2] = self.map.heights_at(self._along_stairs(self._feet))
-        self._swing_start[:, 2] = self._landing[:, 2] = self._feet[:, 2]
-        self._height = float(self._feet[:, 2].mean())
+        self.map.assume_on_flight(_mean_of_pair(self._feet[:2], 2) - _mean_of_pair(self._feet[2:], 2))
+        for foot, start, landing in zip(self._feet, self._swing_start, self._landing):
+            foot[2] = start[2] = landing[2] = self.map.height_at(self._along_stairs(foot[0], foot[1]))
+        self._height = sum(foot[2] for foot in self._feet) / 4
 
-    def _along_stairs(self, points: np.ndarray) -> np.ndarray:
-        """Position along the stairs of points (n, 2+) in the walking frame, (n,) metres."""
-        return points[:, 0] * math.cos(self._heading_error) + points[:, 1] * math.sin(self._heading_error)
+    def _along_stairs(self, forward: float, left: float) -> float:
+        """Component along the stairs of a vector in the walking frame."""
+        return forward * self._cos + left * self._sin
 
     def _wanted_speed(self, block: StairBlock, frequency: float) -> float:
         """Half a tread per footstep on stairs, so that each tread is used twice."""
         if block.valid >= 0.5 and block.edge_distance < 0.5:
-            return min(frequency * block.step_width / 2, 1.2 * self.config.flat_speed)
+            return min(frequency * float(block.step_width) / 2, 1.2 * self.config.flat_speed)
         return self.config.flat_speed
 
     def _carry_feet_back(self, speed: float, turn_rate: float, dt: float) -> None:
         """The walking frame moves on; what is fixed to the ground moves back in it."""
         cos, sin = math.cos(turn_rate * dt), math.sin(turn_rate * dt)
-        rotation = np.array([[cos, sin], [-sin, cos]])
-        for points in (self._feet, self._swing_start, self._landing):
-            points[:, 0] -= speed * dt
-            points[:, :2] = points[:, :2] @ rotation.T
+        travelled = speed * dt
+        for point in (*self._feet, *self._swing_start, *self._landing):
+            x, y = point[0] - travelled, point[1]
+            point[0], point[1] = cos * x + sin * y, cos * y - sin * x
+
+    def _swing_progress(self) -> list[float]:
+        """How far each leg is through its swing, 0..1; from 1 on it stands."""
+        return [((self.phase + offset) % 1.0) / self.config.swing_fraction for offset in TROT_OFFSETS]
 
     def _step_feet(
-        self, frequency: float, speed: float, catch: np.ndarray, extra_clearance: float, dt: float
+        self, frequency: float, speed: float, catch: tuple[float, float], extra_clearance: float, dt: float
     ) -> None:
         self.phase = (self.phase + frequency * dt) % 1.0
-        leg_phase = (self.phase + TROT_OFFSETS) % 1.0
-        progress = leg_phase / self.config.swing_fraction
-        swings = progress < 1.0
-        for leg in range(4):
-            if swings[leg]:
+        for leg, progress in enumerate(self._swing_progress()):
+            if progress < 1.0:
                 if not self._in_swing[leg]:
                     self._lift(leg, frequency, speed, catch)
-                self._fly(leg, float(progress[leg]), extra_clearance)
+                self._fly(leg, progress, extra_clearance)
             elif self._in_swing[leg]:
-                self._feet[leg] = self._landing[leg]
-        self._in_swing = swings
+                self._feet[leg] = self._landing[leg].copy()
+            self._in_swing[leg] = progress < 1.0
 
-    def _lift(self, leg: int, frequency: float, speed: float, catch: np.ndarray) -> None:
+    def _lift(self, leg: int, frequency: float, speed: float, catch: tuple[float, float]) -> None:
         """Choose the foothold: where the hip will be in the middle of the next stance."""
         swing_s = self.config.swing_fraction / frequency
         stance_s = (1 - self.config.swing_fraction) / frequency
-        self._swing_start[leg] = self._feet[leg]
-        landing = self._neutral[leg].copy()
-        landing[0] += speed * (swing_s + stance_s / 2)
-        landing[:2] += catch
-        self._landing[leg] = self._clear(landing, choosing=True)
+        self._swing_start[leg] = self._feet[leg].copy()
+        x, y, _ = self._neutral[leg]
+        self._landing[leg] = self._clear(x + speed * (swing_s + stance_s / 2) + catch[0], y + catch[1], choosing=True)
 
-    def _clear(self, landing: np.ndarray, choosing: bool = False) -> np.ndarray:
-        """Foothold (3,) moved clear of the edges, on the ground there."""
-        s = float(self._along_stairs(landing[None])[0])
+    def _clear(self, x: float, y: float, choosing: bool = False) -> Point:
+        """Foothold moved clear of the edges, on the ground there."""
+        s = self._along_stairs(x, y)
         margin = self.config.nosing_margin
         clear = self.map.clear_of_edges(s, margin, margin, self.config.drop_margin, choosing)
-        return np.array([landing[0] + clear - s, landing[1], self.map.heights_at(np.array([clear]))[0]])
+        return [x + clear - s, y, self.map.height_at(clear)]
 
     def _fly(self, leg: int, progress: float, extra_clearance: float) -> None:
         """Rise, travel, settle; the foothold follows the map until late in the swing.
@@ -270,9 +278,9 @@ class Gait:
         settles, so that the shin clears the nosing behind it.
         """
         if progress < 0.7:
-            self._landing[leg] = self._clear(self._landing[leg])
+            self._landing[leg] = self._clear(*self._landing[leg][:2])
         start, landing = self._swing_start[leg], self._landing[leg]
-        start_s, end_s = self._along_stairs(np.stack([start, landing]))
+        start_s, end_s = self._along_stairs(*start[:2]), self._along_stairs(*landing[:2])
         clearance = self.config.clearance if self.map.knows_stairs else self.config.unknown_clearance
         apex = max(start[2], landing[2], self.map.highest_between(start_s, end_s)) + max(
             clearance + extra_clearance, 0.02
@@ -280,32 +288,39 @@ class Gait:
         drops = landing[2] < start[2] - 0.02
         begin, end = self.config.drop_travel if drops else self.config.travel
         travel = _smoothstep((progress - begin) / (end - begin))
-        self._feet[leg, :2] = start[:2] + travel * (landing[:2] - start[:2])
-        if progress < 0.5:
-            self._feet[leg, 2] = start[2] + math.sin(math.pi * progress) ** 2 * (apex - start[2])
-        else:
-            self._feet[leg, 2] = landing[2] + math.sin(math.pi * progress) ** 2 * (apex - landing[2])
+        ground = start[2] if progress < 0.5 else landing[2]
+        self._feet[leg] = [
+            start[0] + travel * (landing[0] - start[0]),
+            start[1] + travel * (landing[1] - start[1]),
+            ground + math.sin(math.pi * progress) ** 2 * (apex - ground),
+        ]
 
     def _follow_ground(self, dt: float) -> None:
         """Trunk height over the mean foothold and pitch along the local slope, both smoothed."""
-        travel = np.array([_smoothstep(p) for p in ((self.phase + TROT_OFFSETS) % 1.0) / self.config.swing_fraction])
-        blend = np.where(self._in_swing, travel, 0.0)
-        ground = self._feet.copy()
-        ground[self._in_swing] = (
-            self._swing_start + blend[:, None] * (self._landing - self._swing_start)
-        )[self._in_swing]
+        ground = [self._ground_under(leg, progress) for leg, progress in enumerate(self._swing_progress())]
         share = 1 - math.exp(-dt / self.config.smoothing_s)
-        self._height += share * (ground[:, 2].mean() - self._height)
-        run = ground[:2, 0].mean() - ground[2:, 0].mean()
-        slope = math.atan2(ground[:2, 2].mean() - ground[2:, 2].mean(), run)
+        self._height += share * (sum(point[2] for point in ground) / 4 - self._height)
+        run, rise = (_mean_of_pair(ground[:2], axis) - _mean_of_pair(ground[2:], axis) for axis in (0, 2))
+        slope = math.atan2(rise, run)
         self._pitch += share * (-self.config.pitch_follow * slope - self._pitch)
+
+    def _ground_under(self, leg: int, progress: float) -> Point:
+        """Foothold of a standing leg; of a swinging one, a point that glides from the last foothold to the next."""
+        if not self._in_swing[leg]:
+            return self._feet[leg]
+        travel = _smoothstep(progress)
+        return [a + travel * (b - a) for a, b in zip(self._swing_start[leg], self._landing[leg])]
 
     def _feet_in_base(self, extra_pitch: float) -> np.ndarray:
         """Planned feet (4, 3) in the base frame, metres."""
         pitch = self._pitch + extra_pitch
         cos, sin = math.cos(pitch), math.sin(pitch)
-        x, y, z = (self._feet - [0.0, 0.0, self._height + self.robot.stand_height]).T
-        return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=1)
+        base = self._height + self.robot.stand_height
+        return np.array([[cos * x - sin * (z - base), y, sin * x + cos * (z - base)] for x, y, z in self._feet])
+
+
+def _mean_of_pair(points: list[Point], axis: int) -> float:
+    return (points[0][axis] + points[1][axis]) / 2
 
 
 def _smoothstep(t: float) -> float:

@@ -51,11 +51,11 @@ def test_plans_footholds_on_the_treads_clear_of_nosings(direction):
         hip = travelled + robot.hip_x[0]
         ahead = edges[edges > hip]
         block = StairBlock(1.0, direction, 0.3, 0.12, ahead[0] - hip, 0, 0, 1) if len(ahead) else NO_STAIRS
-        before = gait._feet[:, 0] + travelled
+        before = np.array(gait._feet)[:, 0] + travelled
         gait.joint_targets(ZERO, block, np.array([(travelled - last[0]) / DT, 0, 0]), DT)
         last[0] = travelled
-        standing = ~gait._in_swing
-        where = gait._feet[:, 0] + travelled  # the frame has moved on by what this step's speed covers
+        standing = ~np.array(gait._in_swing)
+        where = np.array(gait._feet)[:, 0] + travelled  # the frame has moved on by what this step's speed covers
         moved = float(np.median((before - where)[standing])) if standing.any() else 0.0
         travelled += moved
         where = where + moved
@@ -63,7 +63,7 @@ def test_plans_footholds_on_the_treads_clear_of_nosings(direction):
             level = direction * 0.12 * (edges < where[leg]).sum()
             gap = np.abs(edges - where[leg]).min()
             assert gap > config.nosing_margin - 0.02
-            assert gait._feet[leg, 2] == pytest.approx(level, abs=1e-6)
+            assert gait._feet[leg][2] == pytest.approx(level, abs=1e-6)
             checked += 1
     assert checked > 300 and travelled > 1.0
 
@@ -93,9 +93,9 @@ def test_turns_towards_the_stairs():
     gait = Gait(robot)
     gait.reset(np.zeros(4))
     left = StairBlock(1.0, 1.0, 0.3, 0.12, 2.0, heading_error=0.3, age=0.0, confidence=1.0)
-    start = gait._feet.copy()
+    start = np.array(gait._feet)
     gait.joint_targets(ZERO, left, np.zeros(3), DT)
-    moved = gait._feet - start
-    standing = ~gait._in_swing
+    moved = np.array(gait._feet) - start
+    standing = ~np.array(gait._in_swing)
     # Turning left, feet on the ground turn right in the robot's frame: those in front go right, those behind left.
     assert (np.sign(moved[standing, 1]) == -np.sign(start[standing, 0])).all()

@@ -25,7 +25,7 @@ def walk(step_map, start, metres, edges, direction=1.0):
 def test_edges_are_remembered_after_the_hips_have_passed():
     step_map = StepMap()
     walk(step_map, 0, 0.7, edges=[0.2, 0.5])
-    s, rise = step_map.edges()
+    s, rise = zip(*step_map.edges())
     assert s == pytest.approx([HIP + 0.2 - 0.69, HIP + 0.5 - 0.69], abs=1e-6)
     assert rise == pytest.approx([0.15, 0.15])
     assert not step_map.has_edge_ahead
@@ -43,10 +43,10 @@ def test_height_counts_the_edges(travelled, direction):
 def test_a_correction_shifts_the_whole_map():
     step_map = StepMap()
     walk(step_map, 0, 0.3, edges=[0.2, 0.5])
-    before, _ = step_map.edges()
+    before = [s for s, _ in step_map.edges()]
     step_map.observe(block(before[1] - HIP + 0.03), HIP)
-    after, _ = step_map.edges()
-    assert after[:2] == pytest.approx(before[:2] + 0.03)
+    after = [s for s, _ in step_map.edges()]
+    assert after[:2] == pytest.approx([s + 0.03 for s in before[:2]])
 
 
 def test_an_edge_nobody_confirms_is_dropped():
@@ -62,7 +62,7 @@ def test_start_on_the_flight_fills_in_the_edges_between_the_feet():
     step_map = StepMap()
     step_map.observe(block(0.1), HIP)
     step_map.assume_on_flight(height_difference=0.31)
-    s, _ = step_map.edges()
+    s = [s for s, _ in step_map.edges()]
     assert s[:3] == pytest.approx([HIP + 0.1 - 0.6, HIP + 0.1 - 0.3, HIP + 0.1])
     assert step_map.heights_at(np.array([0.2]))[0] == pytest.approx(0.0)
     assert step_map.heights_at(np.array([-0.4]))[0] == pytest.approx(-0.30)
@@ -74,8 +74,7 @@ def test_footholds_keep_their_distance_and_their_tread(s, direction, choosing, c
     step_map.observe(block(0.3, direction), HIP)
     margins = {"before": 0.05, "after": 0.05, "after_drop": 0.09}
     placed = step_map.clear_of_edges(s, **margins, choosing=choosing)
-    edges, rises = step_map.edges()
-    for edge, rise in zip(edges, rises):
+    for edge, rise in step_map.edges():
         assert placed <= edge - 0.05 + 1e-9 or placed >= edge + (0.05 if rise > 0 else 0.09) - 1e-9
     assert abs(placed - s) <= 0.0701  # never further than the larger detour
     # A correction of the map moves the foothold with its tread, it never jumps to another.
