@@ -15,7 +15,7 @@ import stair_env  # noqa: F401  (registers the ids, also in a worker process)
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-VEC_KINDS = ("subproc", "dummy")
+VEC_KINDS = ("subproc", "dummy", "workers")
 CLIMB_ID = "stair_env/StairClimb-v0"
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
 ENV_IDS = (CLIMB_ID, PERCEPTION_ID)
@@ -74,7 +74,8 @@ def make_vec_env(
         num_envs: how many.
         env_kwargs: keyword arguments, the same for each.
         seed: environment i is seeded with seed + i at its first reset.
-        kind: "subproc" (one process each, started safely from a thread-free server) or "dummy" (this process).
+        kind: "subproc" (one process each, started safely from a thread-free server), "dummy" (this process) or
+            "workers" (one process per core, each with its share of the environments; see `stair_env.vector`).
 
     Raises:
         ValueError: wrong kind or count, or a keyword argument of the environment is wrong.
@@ -85,14 +86,28 @@ def make_vec_env(
         raise ValueError(f"kind={kind!r} must be one of {', '.join(VEC_KINDS)}")
     if num_envs < 1:
         raise ValueError(f"num_envs={num_envs!r} must be >= 1")
+    venv: VecEnv
     factory = functools.partial(make_env, env_id, dict(env_kwargs or {}))
+    if kind == "workers":
+        venv = _make_worker_env(functools.partial(factory, monitor=False), num_envs)
+        venv.seed(seed)
+        return venv
     factory().close()  # a wrong argument is reported here, in one piece, and not by a dying worker
     factories: list[Callable[[], gym.Env]] = [factory] * num_envs
-    venv: VecEnv = (
+    venv = (
         DummyVecEnv(factories) if kind == "dummy" else SubprocVecEnv(factories, start_method=_prepared_start_method())
     )
     venv.seed(seed)
     return venv
+
+
+def _make_worker_env(factory: Callable[[], gym.Env], num_envs: int) -> VecEnv:
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    from policies.vec_adapter import StairSb3VecEnv
+    from stair_env.vector import WorkerVectorEnv
+
+    return VecMonitor(StairSb3VecEnv(WorkerVectorEnv([factory] * num_envs, autoreset_mode="SameStep")))
 
 
 def _prepared_start_method() -> str:

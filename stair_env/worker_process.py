@@ -92,6 +92,7 @@ class Worker:
             "step": self.step,
             "reset": self.reset,
             "call": self.call,
+            "get": self.get_attribute,
             "set": self.set_attribute,
             "classes": self.wrapper_classes,
         }
@@ -134,6 +135,10 @@ class Worker:
             attribute = self._environment(index).get_wrapper_attr(name)
             results.append(attribute(*args, **kwargs) if callable(attribute) else attribute)
         return results
+
+    def get_attribute(self, indices: Sequence[int], name: str) -> list[Any]:
+        """Read an attribute of environments; a method is not called."""
+        return [self._environment(index).get_wrapper_attr(name) for index in indices]
 
     def set_attribute(self, indices: Sequence[int], name: str, values: Sequence[Any]) -> None:
         """Set an attribute where it is found among wrappers and environment."""
@@ -232,10 +237,16 @@ def _next_request(connection: Connection, parent: int) -> Request | None:
 def _answer(connection: Connection, worker: Worker, request: Request) -> None:
     """Send the result of a request, or how it failed (also if the result cannot be pickled)."""
     number, command, arguments = request
+    result: Any
+    is_attribute_error = False
     try:
-        connection.send((number, worker.answer(command, arguments)))
+        try:
+            result = worker.answer(command, arguments)
+        except AttributeError:
+            is_attribute_error = True
+            raise
+        connection.send((number, result))
     except BrokenPipeError:
         return
-    except Exception as error:
-        failure = Failure(worker.current, isinstance(error, AttributeError), traceback.format_exc())
-        connection.send((number, failure))
+    except Exception:
+        connection.send((number, Failure(worker.current, is_attribute_error, traceback.format_exc())))

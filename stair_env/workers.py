@@ -29,6 +29,7 @@ from stair_env.worker_process import OBSERVATION, EnvFactory, Failure, StepInfo,
 CLOSE_TIMEOUT_S = 5.0  # a worker that has not gone by then is killed
 DEATH_CHECK_S = 1.0  # upper bound on how late a timeout is noticed
 BUILDING = "construction"
+LOOKUPS = ("call()", "get()")  # an AttributeError in these is the asker's, who may expect it
 EXIT_GRACE_S = 2.0  # for the exit code of a process whose pipe broke
 
 
@@ -143,6 +144,15 @@ class WorkerPool:
         results = self._ask(indices, "call", lambda own: (own, name, args, kwargs))
         return [results[i] for i in indices]
 
+    def get_attribute(self, indices: Sequence[int], name: str) -> list[Any]:
+        """Read an attribute of environments; a method is not called.
+
+        Raises:
+            AttributeError: there is no such attribute.
+        """
+        results = self._ask(indices, "get", lambda own: (own, name))
+        return [results[i] for i in indices]
+
     def set_attribute(self, indices: Sequence[int], name: str, values: Sequence[Any]) -> None:
         """Set an attribute of environments, one value each."""
         chosen = dict(zip(indices, values, strict=True))
@@ -230,7 +240,7 @@ class WorkerPool:
         for worker, answer in answers.items():
             if isinstance(answer, Failure):
                 text = f"environment {answer.index} of worker {worker} raised in {doing}:\n{answer.text}"
-                raise AttributeError(text) if answer.is_attribute_error and doing == "call()" else WorkerError(text)
+                raise AttributeError(text) if answer.is_attribute_error and doing in LOOKUPS else WorkerError(text)
 
     def _report_death(self, worker: int, doing: str) -> NoReturn:
         process = self._processes[worker]

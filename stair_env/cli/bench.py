@@ -10,6 +10,7 @@ from stair_env.timing import Row
 
 NAMES = (
     "env-step",
+    "vector-step",
     "camera-frame",
     "worker-memory",
     "onnx-0.25",

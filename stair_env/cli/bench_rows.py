@@ -14,7 +14,10 @@ from stair_env.camera.intrinsics import Intrinsics
 from stair_env.scene import Shape
 from stair_env.timing import Row, seconds_per_call, time_pair
 
+CLIMB_ID = "stair_env/StairClimb-v0"
 EPISODE_STEPS = 96  # two seconds of walking
+VECTOR_ENVS = 8
+VECTOR_STEPS = 48  # before the first robot is through
 FRAME_SIZE = 512  # what StairNetV2 looks at
 MEGABYTE = 1e6
 NEAR_M, FAR_M = 0.05, 20.0  # of TinyRenderer's pictures
@@ -113,6 +116,31 @@ def _bind(calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]], client: int)
     ]
 
 
+def vector_step(rounds: int) -> Row:
+    """One environment's share of a vector step, against a step of an environment alone."""
+    import gymnasium as gym
+
+    import stair_env  # noqa: F401  (registers the ids)
+
+    vector, single = gym.make_vec(CLIMB_ID, num_envs=VECTOR_ENVS), gym.make(CLIMB_ID, disable_env_checker=True)
+    actions = np.zeros(vector.action_space.shape or (), np.float32)
+
+    def ours() -> float:
+        vector.reset(seed=0)
+        return seconds_per_call(lambda: vector.step(actions), VECTOR_STEPS)() / VECTOR_ENVS
+
+    def theirs() -> float:
+        single.reset(seed=0)
+        return seconds_per_call(lambda: single.step(actions[0]), VECTOR_STEPS)()
+
+    try:
+        name = f"env step, {VECTOR_ENVS} in worker processes / one alone"
+        return time_pair(name, ours, theirs, rounds=rounds, target=1.7)
+    finally:
+        vector.close()
+        single.close()
+
+
 def camera_frame(rounds: int) -> Row:
     """A D435i frame with every error, ray-cast, against a bare TinyRenderer picture of the same solids."""
     import pybullet
@@ -200,6 +228,7 @@ def _memory_mb(code: str) -> float:
 
 ROWS: dict[str, Callable[[int], Row]] = {
     "env-step": env_step,
+    "vector-step": vector_step,
     "camera-frame": camera_frame,
     "worker-memory": worker_memory,
 }

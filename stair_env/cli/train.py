@@ -38,7 +38,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--timesteps", type=positive_int, help="environment steps in total (from the YAML file)")
     parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
-    parser.add_argument("--vec", choices=("subproc", "dummy"), default="subproc", help="processes or one (%(default)s)")
+    parser.add_argument(
+        "--vec",
+        choices=("subproc", "dummy", "workers"),
+        default="subproc",
+        help="a process each, one process for all, or a process per core (%(default)s)",
+    )
     parser.add_argument(
         "--hyperparams", metavar="FILE", help="YAML file in rl_zoo3's layout instead of the shipped one"
     )

@@ -1,0 +1,108 @@
+"""Environments in worker processes as Stable-Baselines3's VecEnv. Importing this loads SB3; the workers never do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from stair_env.vector import WorkerVectorEnv
+
+
+class StairSb3VecEnv(VecEnv):
+    """Speaks SB3's language to a `stair_env.vector.WorkerVectorEnv`.
+
+    A step returns four values; an episode that ends is followed by the next one's first observation in the same step,
+    the last observation is in `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` tells a time limit
+    from an end.
+
+    Args:
+        vector_env: environments with autoreset_mode="SameStep"; closed with this.
+
+    Raises:
+        ValueError: another autoreset mode.
+    """
+
+    def __init__(self, vector_env: WorkerVectorEnv) -> None:
+        mode = vector_env.metadata["autoreset_mode"]
+        if mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode={mode.value!r} must be {AutoresetMode.SAME_STEP.value!r} for SB3")
+        self.vector_env = vector_env
+        self._pool = vector_env.pool
+        super().__init__(vector_env.num_envs, vector_env.single_observation_space, vector_env.single_action_space)
+        self.metadata = vector_env.metadata
+
+    def reset(self) -> VecEnvObs:
+        """Begin an episode everywhere, with the seeds and options that were set; both are used once."""
+        requests = {i: (self._seeds[i], self._options[i] or None) for i in range(self.num_envs)}
+        infos = self._pool.reset(requests)
+        self.reset_infos = [infos[i] for i in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return self._observation()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Begin a step with actions (num_envs, action size)."""
+        self._pool.begin_step(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Observations by key, rewards float32 (num_envs,), dones bool (num_envs,), one info each."""
+        results = self._pool.finish_step()
+        pool = self._pool
+        dones = pool.terminated | pool.truncated
+        infos: list[dict[str, Any]] = []
+        for index, result in enumerate(results):
+            info = result.info if result.final_info is None else result.final_info
+            info["TimeLimit.truncated"] = bool(pool.truncated[index] and not pool.terminated[index])
+            if result.final_info is not None:
+                info["terminal_observation"] = result.final_observation
+                self.reset_infos[index] = result.info
+            infos.append(info)
+        return self._observation(), pool.rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """End the workers; safe to call twice."""
+        self.vector_env.close()
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Whether every environment has the attribute, which need not be one that can be sent."""
+        return all(self.env_method("has_wrapper_attr", attr_name))
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of environments.
+
+        Raises:
+            AttributeError: there is none of this name.
+        """
+        return self._pool.get_attribute(self._chosen(indices), attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of environments to one value."""
+        chosen = self._chosen(indices)
+        self._pool.set_attribute(chosen, attr_name, [value] * len(chosen))
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        """Call a method of environments, for example "get_curriculum_state"."""
+        return self._pool.call(self._chosen(indices), method_name, *method_args, **kwargs)
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Whether environments are wrapped; asks by name, so that no worker imports the class."""
+        wanted = (wrapper_class.__module__, wrapper_class.__qualname__)
+        return [wanted in classes for classes in self._pool.wrapper_classes(self._chosen(indices))]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """What each environment's `render` returns."""
+        return self.env_method("render")
+
+    def _chosen(self, indices: VecEnvIndices) -> list[int]:
+        return [int(i) for i in self._get_indices(indices)]
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {key: value.copy() for key, value in self._pool.observation.items()}
