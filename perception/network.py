@@ -51,10 +51,10 @@ class GroupedConv3x3(nn.Module):
         channels: in and out.
         groups: divides channels.
         stride: of both axes.
-        dilation: of both axes; the padding keeps the size.
+        dilation: of both axes, or (rows, columns); the padding keeps the size.
     """
 
-    def __init__(self, channels: int, groups: int, stride: int = 1, dilation: int = 1) -> None:
+    def __init__(self, channels: int, groups: int, stride: int = 1, dilation: int | tuple[int, int] = 1) -> None:
         super().__init__()
         if channels % groups:
             raise ValueError(f"groups={groups} must divide channels={channels}")
@@ -118,7 +118,9 @@ class SqueezeExcite(nn.Module):
 class Bottleneck(nn.Module):
     """SE-ResNeXt bottleneck: 1 x 1 to half, grouped 3 x 3 (stride and dilation here), 1 x 1 back, gates, shortcut."""
 
-    def __init__(self, c_in: int, c_out: int, groups: int, stride: int = 1, dilation: int = 1) -> None:
+    def __init__(
+        self, c_in: int, c_out: int, groups: int, stride: int = 1, dilation: int | tuple[int, int] = 1
+    ) -> None:
         super().__init__()
         middle = c_out // 2
         self.reduce = ConvNormAct(c_in, middle)

@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from perception.backends import check_batch
+from perception.backends import Backend, check_batch
 from perception.dataset import Sample
-from perception.labels import LabelGrid, encode_grid
-from perception.metrics import DetectionCounts, count_cells
+from perception.labels import LabelGrid, decode_grid, encode_grid
+from perception.metrics import SCORE_THRESHOLD, DetectionCounts, count_cells
 
 
 class LineDetector(Protocol):
@@ -71,15 +71,37 @@ class LineBackend:
         return cls, loc
 
 
-def score_lines(detector: LineDetector, frames: Iterable[Sample]) -> DetectionCounts:
+class GridDetector:
+    """A network in the place of a line detector: the lines of its scored cells.
+
+    Args:
+        backend: the network behind numpy.
+        threshold: least class score of a cell.
+    """
+
+    def __init__(self, backend: Backend, threshold: float = SCORE_THRESHOLD) -> None:
+        self.backend, self.threshold = backend, threshold
+
+    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+        """Detect; see `LineDetector`. A cell gives two segments, which nearly coincide where it holds one line."""
+        cls, loc = self.backend(rgb[None], depth_m[None])
+        return decode_grid(cls[0], loc[0], self.threshold).reshape(-1, 4)
+
+
+def score_lines(
+    detector: LineDetector, frames: Iterable[Sample], true_grids: Iterable[LabelGrid] | None = None
+) -> DetectionCounts:
     """Cells counted over frames (equation 10), as for the network.
 
     Args:
         detector: what finds the lines.
         frames: labelled frames.
+        true_grids: the frames' encoded labels, where they are at hand; encoded here otherwise.
     """
     counts = DetectionCounts()
-    for frame in frames:
-        found, true = lines_to_grid(detector(frame.rgb, frame.depth_m)), encode_grid(frame.lines)
+    frames = list(frames)
+    truths = true_grids if true_grids is not None else (encode_grid(frame.lines) for frame in frames)
+    for frame, true in zip(frames, truths):
+        found = lines_to_grid(detector(frame.rgb, frame.depth_m))
         counts += count_cells(found.cls[None], found.loc[None], true.cls[None], true.loc[None])
     return counts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from perception.baselines.base import LineBackend
-from perception.baselines.classical import IMAGES, ClassicalDetector, ClassicalParameters
+from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.baselines.tuning import TuningResult, tune
 from perception.dataset import StairDataset
 from perception.evaluation import as_rows, evaluate_detector
@@ -31,16 +32,18 @@ def evaluate_classical(
     tune_frames: int,
     trials: int,
     progress: Progress,
+    images: tuple[str, ...] = ("colour",),
 ) -> dict[str, Any]:
-    """Tune and score the classical detector, once on colour as in the paper and once on depth.
+    """Tune and score the classical detector: on colour as in the paper, or on depth.
 
     Args:
         validation: frames to tune on.
         test: frames to score on.
-        seed: of the search and of the choice of validation frames; both images see the same candidates.
+        seed: of the search and of the choice of validation frames; all images see the same candidates.
         tune_frames: how many validation frames are drawn, at most all.
         trials: candidates of each search.
         progress: wraps iterations; takes `description` and, for generators, `total`.
+        images: which image the detector reads, "colour" or "depth"; each is tuned and scored by itself.
 
     Returns:
         JSON-able: rows (model, width None, split, accuracy, recall, iou, frames), the paper's row, and per model the
@@ -48,13 +51,12 @@ def evaluate_classical(
     """
     rows: list[dict[str, Any]] = []
     searches: dict[str, Any] = {}
-    for image in IMAGES:
+    for image in images:
         name = MODEL_NAMES[image]
         result = _tuned(validation, seed, tune_frames, trials, image, progress)
         detector = ClassicalDetector(result.parameters)
-        tallies = evaluate_detector(
-            LineBackend(detector), test, modalities=False, progress=lambda items, n=name: progress(items, description=n)
-        )
+        bar = functools.partial(progress, description=name)
+        tallies = evaluate_detector(LineBackend(detector), test, modalities=False, progress=bar)
         rows += as_rows(tallies, name, None)
         searches[name] = {
             "parameters": asdict(result.parameters),
@@ -72,9 +74,8 @@ def _tuned(
     rng = np.random.default_rng(seed)
     chosen = np.sort(rng.choice(len(validation), size=min(tune_frames, len(validation)), replace=False))
     frames = [validation[int(index)] for index in chosen]
-    return tune(
-        frames, rng, trials, image=image, progress=lambda items: progress(items, description=f"tuning on {image}")
-    )
+    bar = functools.partial(progress, description=f"tuning on {image}")
+    return tune(frames, rng, trials, image=image, progress=bar)
 
 
 def milliseconds_per_frame(parameters: ClassicalParameters, frames: StairDataset) -> float:

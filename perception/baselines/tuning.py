@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from perception.baselines.base import score_lines
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.dataset import Sample
+from perception.labels import LabelGrid, encode_grid
 from perception.metrics import DetectionCounts
 
-HEAT_SHARE = 4  # the first round sees every fourth frame, and every fourth candidate goes on to the second
+HEAT_SHARE = 6  # the first round sees every sixth frame, and every sixth candidate goes on to the second
 
 # Bounds of the search: values are drawn log-uniformly. Wide enough that the best of a search lies inside.
 SEARCH_RANGES = {
@@ -27,7 +29,7 @@ SEARCH_RANGES = {
     "max_slope_deg": (10.0, 45.0),
     "merge_px": (2.0, 14.0),
 }
-SPREADS_DEG = (0.0, 10.0, 20.0)
+SPREADS_DEG = (0.0, 15.0)
 LOW_TO_HIGH = (0.3, 0.7)  # range of canny_low / canny_high
 
 
@@ -53,11 +55,13 @@ def draw_parameters(rng: np.random.Generator, image: str = "colour") -> Classica
         rng: source of randomness.
         image: which image the detector reads.
     """
-    values = {name: float(np.exp(rng.uniform(*np.log(bounds)))) for name, bounds in SEARCH_RANGES.items()}
-    low = values["canny_high"] * float(rng.uniform(*LOW_TO_HIGH))
-    spread = float(rng.choice(SPREADS_DEG))
-    votes = round(values.pop("votes"))
-    return replace(ClassicalParameters(image=image), canny_low=low, spread_deg=spread, votes=votes, **values)
+    values: dict[str, Any] = {
+        name: float(np.exp(rng.uniform(*np.log(bounds)))) for name, bounds in SEARCH_RANGES.items()
+    }
+    values["canny_low"] = values["canny_high"] * float(rng.uniform(*LOW_TO_HIGH))
+    values["spread_deg"] = float(rng.choice(SPREADS_DEG))
+    values["votes"] = round(values["votes"])
+    return ClassicalParameters(image=image, **values)
 
 
 def tune(
@@ -70,7 +74,7 @@ def tune(
 ) -> TuningResult:
     """Find the parameters with the largest IOU.
 
-    Two rounds: all candidates (the defaults among them) on a quarter of the frames, the best quarter of them on all.
+    Two rounds: all candidates (the defaults among them) on a sixth of the frames, the best sixth of them on all.
 
     Args:
         frames: labelled validation frames.
@@ -85,13 +89,14 @@ def tune(
     if trials < 1 or not frames:
         raise ValueError(f"trials={trials!r} and the number of frames, {len(frames)}, must both be at least 1")
     candidates = [ClassicalParameters(image=image), *(draw_parameters(rng, image) for _ in range(trials - 1))]
-    heat = frames[::HEAT_SHARE]
-    ranked = sorted(((-_iou(c, heat), i) for i, c in enumerate(progress(candidates))))
+    grids = [encode_grid(frame.lines) for frame in frames]
+    heat = slice(None, None, HEAT_SHARE)
+    ranked = sorted((-_count(c, frames[heat], grids[heat]).iou, i) for i, c in enumerate(progress(candidates)))
     finalists = [candidates[i] for _, i in ranked[: -(-trials // HEAT_SHARE)]]
-    scores = [score_lines(ClassicalDetector(candidate), frames) for candidate in finalists]
+    scores = [_count(candidate, frames, grids) for candidate in finalists]
     best = max(range(len(finalists)), key=lambda i: scores[i].iou)
     return TuningResult(finalists[best], scores[best], trials)
 
 
-def _iou(parameters: ClassicalParameters, frames: Sequence[Sample]) -> float:
-    return score_lines(ClassicalDetector(parameters), frames).iou
+def _count(parameters: ClassicalParameters, frames: Sequence[Sample], grids: Sequence[LabelGrid]) -> DetectionCounts:
+    return score_lines(ClassicalDetector(parameters), frames, grids)

@@ -12,6 +12,7 @@ from stair_env.cli.common import add_common_arguments, choice_list, positive_int
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
 BACKEND_NAMES = ("onnx", "torch")
 SUITES = ("stairnetv2", "classical")
+CLASSICAL_IMAGES = ("colour", "depth")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -21,8 +22,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="accuracy, recall and IOU of a detector",
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
-        "rendered first. --suite classical scores Gabor + Canny + Hough on the same frames instead, on colour and on "
-        "depth, with parameters found by a random search on validation frames.",
+        "rendered first. --suite classical scores Gabor + Canny + Hough on the same frames instead, "
+        "with parameters found by a random search on validation frames.",
     )
     parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
@@ -40,6 +41,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--backend", choices=BACKEND_NAMES, default="onnx", help="what runs the network (%(default)s)")
     parser.add_argument("--workers", type=positive_int, default=1, help="processes that render (%(default)s)")
     tuning = parser.add_argument_group("classical suite")
+    tuning.add_argument(
+        "--images",
+        type=choice_list(CLASSICAL_IMAGES),
+        default=("colour",),
+        help="what the lines are sought in: colour (as in the paper), depth, comma-separated (colour)",
+    )
     tuning.add_argument("--tune-data", type=Path, metavar="DIR", help="labelled set to tune on; --data when not given")
     tuning.add_argument("--tune-split", default="val", help="folder of that set to tune on (%(default)s)")
     tuning.add_argument("--tune-frames", type=positive_int, default=60, help="frames to tune on (%(default)s)")
@@ -76,7 +83,13 @@ def _run_classical(args: argparse.Namespace) -> int:
     frames = StairDataset(_test_root(args), args.split or None)
     validation = StairDataset(_tuning_root(args), args.tune_split or None)
     report = evaluate_classical(
-        validation, frames, seed=args.seed, tune_frames=args.tune_frames, trials=args.trials, progress=progress
+        validation,
+        frames,
+        seed=args.seed,
+        tune_frames=args.tune_frames,
+        trials=args.trials,
+        progress=progress,
+        images=args.images,
     )
     _print_table(report["rows"])
     if args.json:
