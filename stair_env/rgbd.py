@@ -67,7 +67,9 @@ class StairClimbRgbdEnv(StairClimbEnv):
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         self.scene = Scene(self._scene_sampler.sample_around(stairs, rng))
-        return self.scene.shapes
+        if self.camera_config.renderer == "raycast":
+            return super()._world_shapes(stairs, rng)  # walls and furniture out of the way need no bodies
+        return self.scene.shapes  # Bullet's renderers draw bodies
 
     def _begin_sensors(self, rng: np.random.Generator) -> None:
         sim = self._sim
