@@ -260,13 +260,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if self.randomization.push_interval_s and self.time_s >= self._next_push_s:
             sim.push(np.append(self._body_rng.uniform(-1, 1, 2) * self.randomization.push_speed, 0.0))
             self._next_push_s = self._draw_push_time()
-        self._motion.begin()
-        for _ in range(SUBSTEPS):
-            sim.step_physics()
-            self._motion.record(sim.base_state())
+        self._motion.record(sim.step_and_track(SUBSTEPS))
         self._state = self._motion.last
         self.time_s += CONTROL_DT
-        force, rate = self._motion.at_point(np.zeros(3), np.eye(3))
+        force, rate = self._motion.at_base()
         accelerometer, gyro = self._imu.read_many(force, rate)
         heading_before = self._attitude.sensor_to_level_with_yaw[:, 0]
         self._attitude.update(accelerometer, gyro)

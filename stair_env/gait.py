@@ -154,6 +154,7 @@ class Gait:
         self._pitch = pitch
         self._action = np.zeros(ACTION_SIZE)
         self._heading_error = 0.0
+        self._cos, self._sin = 1.0, 0.0  # of the heading error
         self._velocity_forward, self._velocity_left = 0.0, 0.0
 
     @property

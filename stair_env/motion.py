@@ -4,31 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, BaseState
+from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, BaseState, BaseTrack, cross
 
 
 class MotionRecorder:
-    """Collects the base's states at the physics rate.
+    """Holds the base's states at the physics rate over one control step.
 
     Args:
         state: where the motion begins.
     """
 
     def __init__(self, state: BaseState) -> None:
-        self._states = [state]
+        self.last = state
+        self._rotations, self._velocities = state.rotation[None], state.velocity[None]
+        self._angular = state.angular_velocity[None]
 
-    @property
-    def last(self) -> BaseState:
-        """Newest state."""
-        return self._states[-1]
-
-    def begin(self) -> None:
-        """Forget all but the newest state: a control step begins."""
-        self._states = [self._states[-1]]
-
-    def record(self, state: BaseState) -> None:
-        """Add the state after a physics step."""
-        self._states.append(state)
+    def record(self, track: BaseTrack) -> None:
+        """Take the states of a control step in and forget those before its beginning."""
+        start, self.last = self.last, track.state(-1)
+        self._rotations = np.concatenate([start.rotation[None], track.rotation])
+        self._velocities = np.concatenate([start.velocity[None], track.velocity])
+        self._angular = np.concatenate([start.angular_velocity[None], track.angular_velocity])
 
     def at_point(self, lever_arm: np.ndarray, sensor_to_base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Specific force and angular velocity that a sensor fixed to the trunk undergoes.
@@ -41,13 +37,20 @@ class MotionRecorder:
             (k, 3) specific force, m/s², and (k, 3) angular velocity, rad/s, both in the sensor's axes, one row per
             recorded physics step. At rest and level the force points up with 9.81 m/s².
         """
-        rotations = np.array([state.rotation for state in self._states])  # (k + 1, 3, 3)
-        angular = np.array([state.angular_velocity for state in self._states])
-        arms = rotations @ lever_arm
-        velocities = np.array([state.velocity for state in self._states]) + np.cross(angular, arms)
-        acceleration = np.diff(velocities, axis=0) * PHYSICS_RATE_HZ
-        acceleration[:, 2] += GRAVITY
-        world_to_sensor = (rotations[1:] @ sensor_to_base).transpose(0, 2, 1)
-        force = (world_to_sensor @ acceleration[:, :, None])[..., 0]
-        rate = (world_to_sensor @ angular[1:, :, None])[..., 0]
-        return force, rate
+        velocities = self._velocities + cross(self._angular, self._rotations @ lever_arm)
+        sensor_to_world = self._rotations[1:] @ sensor_to_base
+        return _felt(velocities, self._angular[1:], sensor_to_world)
+
+    def at_base(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same as `at_point` for a sensor in the base's origin with the base's axes."""
+        return _felt(self._velocities, self._angular[1:], self._rotations[1:])
+
+
+def _felt(velocities: np.ndarray, angular: np.ndarray, sensor_to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force and angular velocity in the sensor's axes, (k, 3) each, of a sensor with (k + 1, 3) velocities."""
+    acceleration = (velocities[1:] - velocities[:-1]) * PHYSICS_RATE_HZ
+    acceleration[:, 2] += GRAVITY
+    world_to_sensor = sensor_to_world.transpose(0, 2, 1)
+    force = (world_to_sensor @ acceleration[:, :, None])[..., 0]
+    rate = (world_to_sensor @ angular[:, :, None])[..., 0]
+    return force, rate

@@ -7,9 +7,10 @@ indices, inertial frames and joint conventions.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,7 +66,23 @@ class BaseState:
     @property
     def yaw(self) -> float:
         """Heading about world z, radians."""
-        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
+        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
+
+
+@dataclass(frozen=True)
+class BaseTrack:
+    """Trunk states after each of k physics steps, fields as in `BaseState` with k rows."""
+
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+
+    def state(self, index: int) -> BaseState:
+        """One row."""
+        return BaseState(
+            self.position[index], self.rotation[index], self.velocity[index], self.angular_velocity[index]
+        )
 
 
 @dataclass(frozen=True)
@@ -127,12 +144,22 @@ class Simulation:
         self.body = client.loadURDF(
             self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
         )
+        self._bind_calls()
         self._index_links()
         for link in range(-1, client.getNumJoints(self.body)):
             friction_here = FOOT_FRICTION if link in self._foot_of_link else 0.5
             client.changeDynamics(
                 self.body, link, lateralFriction=friction_here, linearDamping=0.0, angularDamping=0.0
             )
+
+    def _bind_calls(self) -> None:
+        """Look up once what every control step calls: `BulletClient` wraps a function anew at each access."""
+        client = self.client
+        self._step_simulation: Callable[[], None] = client.stepSimulation
+        self._base_pose, self._base_velocity = client.getBasePositionAndOrientation, client.getBaseVelocity
+        self._set_motors = client.setJointMotorControlArray
+        self._joint_states, self._link_states = client.getJointStates, client.getLinkStates
+        self._contact_points = client.getContactPoints
 
     def _index_links(self) -> None:
         client, robot = self.client, self.robot
@@ -205,11 +232,11 @@ class Simulation:
             joint_angles: (12,) canonical, radians.
             strength: factor on the largest torque.
         """
-        self.client.setJointMotorControlArray(
+        self._set_motors(
             self.body,
             self._joints,
             pybullet.POSITION_CONTROL,
-            targetPositions=self._to_urdf(joint_angles),
+            targetPositions=self._to_urdf(joint_angles).tolist(),
             positionGains=[POSITION_GAIN] * NUM_JOINTS,
             velocityGains=[VELOCITY_GAIN] * NUM_JOINTS,
             forces=[strength * self.robot.max_torque] * NUM_JOINTS,
@@ -217,7 +244,16 @@ class Simulation:
 
     def step_physics(self) -> None:
         """Advance one physics step of 1/240 s."""
-        self.client.stepSimulation()
+        self._step_simulation()
+
+    def step_and_track(self, steps: int) -> BaseTrack:
+        """Advance some physics steps and tell how the trunk moved."""
+        poses, twists = [], []
+        for _ in range(steps):
+            self._step_simulation()
+            poses.append(self._base_pose(self.body))
+            twists.append(self._base_velocity(self.body))
+        return self._base_track(poses, twists)
 
     def push(self, velocity: np.ndarray) -> None:
         """Add a velocity (3,) m/s to the trunk at once, as a shove does."""
@@ -226,35 +262,33 @@ class Simulation:
 
     def base_state(self) -> BaseState:
         """Pose and velocity of the canonical base frame."""
-        position, quaternion = self.client.getBasePositionAndOrientation(self.body)
-        linear, angular = self.client.getBaseVelocity(self.body)
-        rotation = np.array(self.client.getMatrixFromQuaternion(quaternion)).reshape(3, 3) @ self._inertial_to_canonical
-        angular_velocity = np.array(angular)
+        return self._base_track([self._base_pose(self.body)], [self._base_velocity(self.body)]).state(0)
+
+    def _base_track(self, poses: list[Any], twists: list[Any]) -> BaseTrack:
+        """Canonical base frame from k poses and velocities of Bullet's inertial frame."""
+        matrices = [pybullet.getMatrixFromQuaternion(quaternion) for _, quaternion in poses]
+        rotation = np.array(matrices).reshape(-1, 3, 3) @ self._inertial_to_canonical
         offset = rotation @ self._origin_in_base
-        return BaseState(
-            np.array(position) + offset,
-            rotation,
-            np.array(linear) + _cross(angular_velocity, offset),
-            angular_velocity,
-        )
+        linear, angular = np.array(twists).transpose(1, 0, 2)
+        position = np.array([position for position, _ in poses]) + offset
+        return BaseTrack(position, rotation, linear + cross(angular, offset), angular)
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""
-        states = self.client.getJointStates(self.body, self._joints)
-        angles = np.array([state[0] for state in states])
-        velocities = np.array([state[1] for state in states])
-        torques = np.array([state[3] for state in states])
+        angles, velocities, _, torques = zip(*self._joint_states(self.body, self._joints))
+        angles, velocities, torques = np.array([angles, velocities, torques])
         return self._signs * (angles - self._offsets), self._signs * velocities, self._signs * torques
 
     def foot_positions(self) -> np.ndarray:
         """(4, 3) foot centres in the world frame, metres."""
-        states = self.client.getLinkStates(self.body, self._toes)
+        states = self._link_states(self.body, self._toes)
         return np.array([state[0] for state in states])
 
     def foot_contacts(self) -> FootContacts:
         """Contacts of the last physics step."""
-        touching, force, body_touches = np.zeros(4, bool), np.zeros((4, 3)), False
-        for point in self.client.getContactPoints(bodyA=self.body):
+        touching, body_touches = [False] * 4, False
+        force = [[0.0, 0.0, 0.0] for _ in range(4)]
+        for point in self._contact_points(bodyA=self.body):
             foot = self._foot_of_link.get(point[3])
             if foot is None:
                 body_touches = body_touches or (point[2] != self.body and point[9] > 1.0)
@@ -262,10 +296,10 @@ class Simulation:
             touching[foot] = True
             normal, friction_1, friction_2 = point[7], point[11], point[13]
             for axis in range(3):
-                force[foot, axis] += (
+                force[foot][axis] += (
                     point[9] * normal[axis] + point[10] * friction_1[axis] + point[12] * friction_2[axis]
                 )
-        return FootContacts(touching, force, body_touches)
+        return FootContacts(np.array(touching), np.array(force), body_touches)
 
     def follow_with_camera(self, position: np.ndarray, yaw_deg: float = 50.0) -> None:
         """Keep Bullet's window on the robot (GUI only)."""
@@ -279,6 +313,7 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> Any:
     return Rotation.from_matrix(matrix).as_quat()
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of two (3,) vectors; np.cross costs ten times as much at this size."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of (k, 3) vectors; np.cross costs several times as much at this size."""
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = a.T, b.T
+    return np.array([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x]).T
