@@ -41,7 +41,7 @@ class DemoConfig:
 
     policy: str | None = None
     robot: str = "aliengo"
-    episodes: int = 4
+    episodes: int = 3
     direction: str = "up"
     lighting: str = "both"
     riser_height: tuple[float, float] = (0.09, 0.14)
