@@ -86,9 +86,9 @@ def test_curriculum_goes_through(ours: StairSb3VecEnv) -> None:
 
 
 def test_attributes(ours: StairSb3VecEnv) -> None:
-    ours.set_attr("x", 0.25, indices=1)
     ours.reset()
-    assert ours.get_attr("x") == [0.0] * 3 and ours.get_attr("x", indices=1) == [0.0]
+    ours.set_attr("x", 0.25, indices=1)
+    assert ours.get_attr("x") == [0.0, 0.25, 0.0] and ours.get_attr("x", indices=[1]) == [0.25]
     assert ours.has_attr("get_curriculum_state") and not ours.has_attr("compute_reward")
     with pytest.raises(AttributeError):
         ours.get_attr("nothing")
