@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -24,13 +25,13 @@ from stair_env.gait import ACTION_SIZE, Gait
 from stair_env.imu import Imu, ImuConfig
 from stair_env.kinematics import LegKinematics
 from stair_env.motion import MotionRecorder
-from stair_env.observation import NO_STAIRS, StairBlock, pack_proprio, proprio_space, stair_space
+from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.odometry import LegOdometry
 from stair_env.onlooker import Onlooker
 from stair_env.rewards import RewardWeights, StepOutcome, reward_terms, riser_hits
 from stair_env.robots import NUM_JOINTS, get_robot
 from stair_env.scene import Shape, build_stair_shapes
-from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
+from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
 from stair_env.sources import ExternalSource, HipPose, make_source, true_block
 from stair_env.stairs import SpecError, StairSpec, check_choice
 
@@ -213,7 +214,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         """One control step of 1/48 s."""
         if self._sim is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)
         if action.shape != (self.action_size,):
             raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
         before = self._state
@@ -293,8 +294,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     def _hip_pose(self) -> HipPose:
         yaw = self._state.yaw
-        reach = self.robot.hip_x[0] * float(np.hypot(self._state.rotation[0, 0], self._state.rotation[1, 0]))
-        return HipPose(float(self._state.position[0] + reach * np.cos(yaw)), yaw, self.time_s)
+        reach = self.robot.hip_x[0] * math.hypot(self._state.rotation[0, 0], self._state.rotation[1, 0])
+        return HipPose(float(self._state.position[0]) + reach * math.cos(yaw), yaw, self.time_s)
 
     def _observe_stairs(self) -> None:
         self._block = self.source.read(self._hip_pose())
@@ -319,13 +320,13 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
                 "gravity": -self._attitude.up,
                 "angular_velocity": self._gyro,
                 "velocity": self._odometry_velocity,
-                "yaw_rate": np.array([self._yaw_rate]),
+                "yaw_rate": [self._yaw_rate],
                 "joint_position": self._joints,
                 "joint_velocity": self._joint_rates,
                 "joint_error": self._targets - self._joints,
-                "contact": self._contacts.touching.astype(np.float64),
+                "contact": self._contacts.touching,
                 "foothold_height": self._gait.foothold_heights,
-                "phase": np.array([np.sin(phase), np.cos(phase)]),
+                "phase": [math.sin(phase), math.cos(phase)],
                 "last_action": self._last_action,
             }
         )
@@ -340,14 +341,14 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
             "steps_climbed": self._steps_climbed,
             "reward_terms": terms,
             "truth": {
-                **dataclasses.asdict(truth),
+                **vars(truth),
                 "riser_height": self.stairs.riser_height,
                 "tread_depth": self.stairs.tread_depth,
                 "num_steps": len(self.profile.edge_x),
                 "position": self._state.position.tolist(),
                 "velocity": self._state.velocity.tolist(),
                 "yaw": self._state.yaw,
-                "riser_hits": int(riser_hits(self._contacts).sum()),
+                "riser_hits": int(np.count_nonzero(riser_hits(self._contacts))),
                 "energy_j": self._energy,
             },
             **extra,
@@ -362,8 +363,9 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return int((self.profile.edge_x < self._state.position[0]).sum())
 
     def _local_slope(self) -> float:
-        ground = self.profile.height_at(self._feet[:, 0])
-        return float(np.arctan2(ground[:2].mean() - ground[2:].mean(), self.robot.hip_x[0] - self.robot.hip_x[1]))
+        front_right, front_left, rear_right, rear_left = self.profile.height_at(self._feet[:, 0]).tolist()
+        rise = (front_right + front_left - rear_right - rear_left) / 2
+        return math.atan2(rise, self.robot.hip_x[0] - self.robot.hip_x[1])
 
     def _termination(self) -> str:
         """Why the episode is over; empty while it is not."""
@@ -372,15 +374,15 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if not np.isfinite(position).all():
             return "fall"
         ground = float(self.profile.height_at(position[0]))
-        low, high = sorted((ground, float(self.profile.height_at(self._feet[:, 0]).mean())))
+        low = min(ground, float(self.profile.height_at(self._feet[:, 0]).mean()))
         if up < FALL_COSINE or position[2] - low < FALL_HEIGHT_SHARE * self.robot.stand_height:
             return "fall"
         if abs(position[1]) > self.stairs.flight_width / 2 and 0.0 < position[0] < last_edge:
             return "left_flight"
         if position[0] < self._start_x - WALKED_AWAY_M:
             return "walked_away"
-        rear = self._feet[2:]
-        landed = (rear[:, 0] > last_edge).all() and (np.abs(rear[:, 2] - final_level) < 0.15).all()
+        rear = self._feet[2:].tolist()
+        landed = all(x > last_edge and abs(z - final_level) < 0.15 for x, _, z in rear)
         return "success" if landed and up > 0.8 else ""
 
     # ------------------------------------------------------------------ looks

@@ -6,7 +6,8 @@ Everything in them can come from a real robot's sensors. Heights and distances a
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from gymnasium import spaces
@@ -69,7 +70,8 @@ class StairBlock:
         """(8,) float32 within the block's bounds; all zero when invalid."""
         if self.valid < 0.5:
             return np.zeros(len(STAIR_FIELDS), np.float32)
-        return np.clip(np.array(astuple(self), np.float32), STAIR_LOW, STAIR_HIGH)
+        values = np.array([getattr(self, name) for name in STAIR_FIELDS], np.float32)
+        return np.minimum(np.maximum(values, STAIR_LOW), STAIR_HIGH)
 
     @classmethod
     def from_array(cls, block: np.ndarray) -> StairBlock:
@@ -80,7 +82,9 @@ class StairBlock:
         """
         values = np.asarray(block, np.float64)
         if values.shape != (len(STAIR_FIELDS),) or not np.isfinite(values).all():
-            raise ValueError(f"a stair block is {len(STAIR_FIELDS)} finite numbers ({', '.join(STAIR_FIELDS)}), got {block!r}")
+            raise ValueError(
+                f"a stair block is {len(STAIR_FIELDS)} finite numbers ({', '.join(STAIR_FIELDS)}), got {block!r}"
+            )
         return cls(*values.tolist())
 
 
@@ -98,8 +102,8 @@ def proprio_space(action_size: int = 16) -> spaces.Box:
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
-def pack_proprio(fields: dict[str, np.ndarray]) -> np.ndarray:
-    """Concatenate named fields in the documented order, clipped to the space's bounds, float32."""
-    packed = np.concatenate([np.atleast_1d(fields[name]) for name in PROPRIO_FIELDS])
+def pack_proprio(fields: Mapping[str, np.ndarray | Sequence[float]]) -> np.ndarray:
+    """Concatenate named vectors in the documented order, clipped to the space's bounds, float32."""
+    packed = np.concatenate([fields[name] for name in PROPRIO_FIELDS]).astype(np.float32)
     bound = PROPRIO_BOUND[: len(packed)]
-    return np.clip(packed.astype(np.float32), -bound, bound)
+    return np.minimum(np.maximum(packed, -bound), bound)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stair_env.kinematics import LegKinematics
@@ -48,11 +50,18 @@ class LegOdometry:
         shank = body_pitch + angles[:, 1] + angles[:, 2]
         standing = np.asarray(contact, bool) & self._last_contact
         if self._last_feet is not None and self._last_shank is not None and standing.any():
-            cos, sin = np.cos(yaw_change), np.sin(yaw_change)
+            cos, sin = math.cos(yaw_change), math.sin(yaw_change)
             turned = self._last_feet @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
             moved = turned[standing] - feet[standing]
             # A round foot rolls: its centre travels r per radian of shank rotation.
             moved[:, 0] += self._radius * (shank - self._last_shank)[standing]
-            self._velocity = np.median(moved, axis=0) / dt
+            self._velocity = _median(moved) / dt
         self._last_feet, self._last_shank, self._last_contact = feet, shank, np.asarray(contact, bool).copy()
         return self._velocity
+
+
+def _median(rows: np.ndarray) -> np.ndarray:
+    """Median of each column (numpy's own costs ten times as much at this size)."""
+    ordered = np.sort(rows, axis=0)
+    count = len(ordered)
+    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2

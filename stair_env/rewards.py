@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -28,6 +29,9 @@ class RewardWeights:
     step_bonus: float = 1.0
     success: float = 10.0
     fall: float = 10.0
+
+
+REWARD_TERMS = tuple(field.name for field in fields(RewardWeights))
 
 
 @dataclass(frozen=True)
@@ -70,23 +74,24 @@ def reward_terms(outcome: StepOutcome, profile: StairProfile, weights: RewardWei
         One float per field of RewardWeights, penalties negative.
     """
     speed = (outcome.after.position[0] - outcome.before.position[0]) / outcome.dt
-    up = outcome.after.rotation[2]  # world z in the base frame
-    nose_up = float(np.arctan2(outcome.after.rotation[2, 0], np.hypot(up[1], up[2])))
-    roll = float(np.arctan2(up[1], up[2]))
+    up = outcome.after.rotation[2].tolist()  # world z in the base frame
+    nose_up = math.atan2(up[0], math.hypot(up[1], up[2]))
+    roll = math.atan2(up[1], up[2])
+    change = outcome.action - outcome.last_action
     tilt = (nose_up - 0.8 * outcome.slope_rad) ** 2 + roll**2
     raw = {
-        "progress": float(np.clip(speed, -WANTED_SPEED, WANTED_SPEED)) / WANTED_SPEED,
+        "progress": float(min(max(speed, -WANTED_SPEED), WANTED_SPEED)) / WANTED_SPEED,
         "heading": -(outcome.after.yaw**2),
         "upright": -tilt * 10.0,
-        "action_rate": -float(np.sum((outcome.action - outcome.last_action) ** 2)),
-        "action_size": -float(np.sum(outcome.action**2)),
-        "riser_hit": -float(np.sum(riser_hits(outcome.contacts))),
-        "nosing": -float(np.sum(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
+        "action_rate": -float(change @ change),
+        "action_size": -float(outcome.action @ outcome.action),
+        "riser_hit": -float(np.count_nonzero(riser_hits(outcome.contacts))),
+        "nosing": -float(np.count_nonzero(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
         "step_bonus": float(outcome.new_steps),
         "success": float(outcome.success),
         "fall": -float(outcome.fell),
     }
-    return {field.name: getattr(weights, field.name) * raw[field.name] for field in fields(weights)}
+    return {name: getattr(weights, name) * raw[name] for name in REWARD_TERMS}
 
 
 def riser_hits(contacts: FootContacts) -> np.ndarray:

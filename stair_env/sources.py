@@ -46,7 +46,7 @@ def true_block(spec: StairSpec, profile: StairProfile, pose: HipPose) -> StairBl
     distance = float(profile.edge_x[ahead]) - pose.x
     if distance > VIEW_RANGE_M:
         return NO_STAIRS
-    rise = float(profile.rises[ahead])
+    rise = float(profile.level_z[ahead + 1] - profile.level_z[ahead])
     return StairBlock(
         valid=1.0,
         direction=math.copysign(1.0, rise),
@@ -61,11 +61,11 @@ def true_block(spec: StairSpec, profile: StairProfile, pose: HipPose) -> StairBl
 
 def _run_after(spec: StairSpec, profile: StairProfile, index: int) -> float:
     """Tread depth behind a nosing; at the end of a flight, where the landing follows, that of the step before."""
-    runs = np.diff(profile.edge_x)
     last_of_flight = (index + 1) % spec.num_steps == 0
     if last_of_flight and index % spec.num_steps == 0:
         return spec.tread_depth
-    return float(runs[index - 1] if last_of_flight else runs[index])
+    first = index - 1 if last_of_flight else index
+    return float(profile.edge_x[first + 1] - profile.edge_x[first])
 
 
 class StairSource(Protocol):
