@@ -145,8 +145,8 @@ def test_bad_parameters_are_named(change):
 
 def test_search_is_reproducible_and_no_worse_than_the_defaults(rng):
     frames = [sample(rng) for _ in range(2)]
-    found = tune(frames, np.random.default_rng(1), 6)
-    assert found == tune(frames, np.random.default_rng(1), 6)
+    found = tune(frames, np.random.default_rng(1), 3)
+    assert found == tune(frames, np.random.default_rng(1), 3)
     assert found.counts.frames == 2
     heat = frames[::6]
     best, default = (score_lines(ClassicalDetector(p), heat).iou for p in (found.parameters, ClassicalParameters()))
@@ -241,20 +241,21 @@ def test_empty_cells_have_no_location_loss():
     torch.manual_seed(0)
     targets = encode_targets(np.zeros((0, 4)), np.zeros(0))
     terms = stairnet_loss(StairNet(0.25).forward_raw(torch.randn(1, 3, 512, 512)), targets)
+    terms = {name: term.detach() for name, term in terms.items()}
     assert float(terms["x"]) == float(terms["y"]) == 0.0
-    assert float(terms["cls"].detach()) > 0.0
+    assert float(terms["cls"]) > 0.0
 
 
 def test_every_parameter_learns_and_the_loss_falls():
     torch.manual_seed(0)
     network = StairNet(0.25)
-    lines = np.array([[10.0, 30, 120, 34], [10, 90, 120, 96]])
+    lines = np.array([[5.0, 20, 60, 24], [5, 50, 60, 46]])
     whole = encode_targets(lines, np.array([0, 1]))
-    targets = type(whole)(whole.kinds[:, :8, :4], whole.loc[:, :, :8, :4])
-    image = torch.randn(1, 3, 128, 128)
+    targets = type(whole)(whole.kinds[:, :4, :2], whole.loc[:, :, :4, :2])
+    image = torch.randn(1, 3, 64, 64)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
     losses = []
-    for _ in range(6):
+    for _ in range(4):
         loss = total_loss(stairnet_loss(network.forward_raw(image), targets), WEIGHTS)
         optimiser.zero_grad()
         loss.backward()
