@@ -20,6 +20,8 @@ HOLD_FRAMES = 8  # of the last picture
 CRF = "26"  # H.264's constant quality: 18 looks lossless, 28 soft
 FRAME_ATTRIBUTE, PERCEPTION_ATTRIBUTE = "last_rgb", "perception"  # of perception.wrapper.PerceptionWrapper
 
+ONLOOKER_ATTRIBUTE = "onlooker_view"  # of stair_env.rgbd.StairClimbRgbdEnv
+
 
 @contextlib.contextmanager
 def open_video(path: Path | str) -> Iterator[Any]:
@@ -76,8 +78,15 @@ class Film:
             (f"step {info['steps_climbed']} of {truth['num_steps']}", FAINT),
             (outcome, TEXT),
         ]
-        onlooker: Any = self._env.render()
-        return compose(onlooker, self._camera_view(), [first, measurement_words(observation["stair"], truth)])
+        return compose(
+            self._onlooker_view(), self._camera_view(), [first, measurement_words(observation["stair"], truth)]
+        )
+
+    def _onlooker_view(self) -> np.ndarray:
+        """Ray-cast where the environment has a scene with materials and light, else what `render()` shows."""
+        ray_cast = self._env.has_wrapper_attr(ONLOOKER_ATTRIBUTE)
+        view: Any = self._env.get_wrapper_attr(ONLOOKER_ATTRIBUTE)() if ray_cast else self._env.render()
+        return np.asarray(view)
 
     def _camera_view(self) -> np.ndarray | None:
         """The newest camera frame with the lines found in it; None for a robot that does not look."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from stair_env.camera.follower import FollowCamera
 from stair_env.camera.intrinsics import Intrinsics
 from stair_env.camera.renderers import make_renderer
 from stair_env.camera.renderers.bullet import load_egl
@@ -76,6 +77,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
         assert sim is not None
         renderer = make_renderer(self.camera_config.renderer, self.scene, sim.client)
         self._body_shapes = BodyShapes(sim.client, sim.body)
+        self._follower: FollowCamera | None = None
         tilt = self.randomization.camera_tilt_rad
         self._tilt = _rotation_about_x(float(rng.uniform(-tilt, tilt)))
         if self._camera is None:
@@ -116,6 +118,12 @@ class StairClimbRgbdEnv(StairClimbEnv):
             "time_s": self.time_s,
         }
         return info
+
+    def onlooker_view(self) -> np.ndarray:
+        """Third-person picture with the scene's materials and light, uint8 (480, 640, 3); needs no render_mode."""
+        if self._follower is None:
+            self._follower = FollowCamera(self.scene)
+        return self._follower.look(self._state.position, self._body_shapes.shapes())
 
     def close(self) -> None:
         """Release the physics and the camera; safe to call twice."""
