@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from perception.face_kinds import RISER, TREAD, UNKNOWN, Candidate, choose_kinds
+from perception.face_kinds import RISER, Candidate, choose_kinds
 from stair_env.camera.intrinsics import Intrinsics
 
 COLUMN_BANDS = 27  # samples across a strip: the paper's nine sampling points, three columns each
@@ -163,14 +164,6 @@ def _read(x: np.ndarray, y: np.ndarray, gap: np.ndarray, depth_m: np.ndarray, in
     return Strips(rays.reshape(count, -1, 3), depth.reshape(count, -1), ok.reshape(count, -1), points_per_reading)
 
 
-def masked_median(values: np.ndarray, ok: np.ndarray) -> np.ndarray:
-    """(K,) medians along the last axis of (K, N) where ok; 0 where nothing is."""
-    count = ok.sum(axis=1)
-    ordered = np.sort(np.where(ok, values, np.inf), axis=1)
-    middle = ordered[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
-    return np.where(count > 0, middle, 0.0)
-
-
 def fit_faces(strips: Strips, camera_to_stair: np.ndarray, views: LineViews, gravity_std_rad: float) -> Faces:
     """Which face each strip shows and where it lies, with one orientation for all.
 
@@ -190,7 +183,7 @@ def fit_faces(strips: Strips, camera_to_stair: np.ndarray, views: LineViews, gra
     for _ in range(ITERATIONS):
         if not fit.kind.any():
             break
-        step, cov = _solve_rotation(fit, views.normals @ rotation.T, views.direction_std, turned, gravity_std_rad)
+        step, cov = _solve_rotation(strips, fit, rotation, views, turned, gravity_std_rad)
         rotation = _small_rotation(step) @ rotation
         turned = turned + step
         fit = _fit_each(strips, rotation, views)
@@ -199,133 +192,63 @@ def fit_faces(strips: Strips, camera_to_stair: np.ndarray, views: LineViews, gra
 
 @dataclass(frozen=True)
 class _Fit:
-    """Strips explained as treads or risers under one orientation.
-
-    Attributes:
-        kind, value, std: (K,) as in `Faces`.
-        residual: (K, N) measured minus fitted coordinate of each point, metres.
-        weight: (K, N) inverse variance of each residual as one of many independent readings, 0 for outliers.
-        fitted: (K, N, 3) where each point's ray meets the fitted face.
-    """
+    """Strips explained as treads or risers under one orientation; kind, value, std (K,) as in `Faces`."""
 
     kind: np.ndarray
     value: np.ndarray
     std: np.ndarray
-    residual: np.ndarray
-    weight: np.ndarray
-    fitted: np.ndarray
 
 
 def _fit_each(strips: Strips, rotation: np.ndarray, views: LineViews) -> _Fit:
     """Explain each strip as a tread and as a riser, and keep what fits it and its neighbours."""
-    rays = strips.rays @ rotation.T
-    tread, riser = (_fit_constant(rays[:, :, axis], strips) for axis in (2, 0))
+    from perception import face_kernels
+
+    answer = np.empty((2, len(strips.ok), 4))
+    kernels: Any = face_kernels
+    kernels.explain(*_points(strips, rotation), ROW_SAMPLES, answer)
+    tread, riser = (Candidate(*part.T) for part in answer)
     enough = strips.ok.sum(axis=1) >= MIN_POINTS
-    kind = choose_kinds(tread.candidate, riser.candidate, enough, *views.slopes(rotation))
-    is_riser = (kind == RISER)[:, None]
-    return _Fit(
-        kind=kind,
-        value=np.where(kind == RISER, riser.candidate.value, tread.candidate.value),
-        std=np.where(kind == RISER, riser.candidate.std, tread.candidate.std),
-        residual=np.where(is_riser, riser.residual, tread.residual),
-        weight=np.where(is_riser, riser.weight, tread.weight) * (kind != UNKNOWN)[:, None],
-        fitted=rays * np.where(is_riser, riser.depth, tread.depth)[:, :, None],
+    kind = choose_kinds(tread, riser, enough, *views.slopes(rotation))
+    is_riser = kind == RISER
+    return _Fit(kind, np.where(is_riser, riser.value, tread.value), np.where(is_riser, riser.std, tread.std))
+
+
+def _points(strips: Strips, rotation: np.ndarray) -> tuple[Any, ...]:
+    """The arguments that the compiled loops share."""
+    return (
+        strips.rays,
+        strips.depth_m,
+        strips.ok,
+        strips.points_per_reading,
+        rotation,
+        DEPTH_SIGMA_PER_M2,
+        DEPTH_FLOOR_M,
+        ROBUST_CUT,
     )
-
-
-@dataclass(frozen=True)
-class _ConstantFit:
-    """Every strip fitted with one coordinate constant; `depth` (K, N) is where the rays meet that plane."""
-
-    candidate: Candidate
-    residual: np.ndarray
-    weight: np.ndarray
-    depth: np.ndarray
-
-
-def _fit_constant(per_depth: np.ndarray, strips: Strips) -> _ConstantFit:
-    """Robust location of coordinate = per_depth * depth in each strip.
-
-    What a reading is expected to scatter, and where it is taken to lie, follows from the fitted plane and not from
-    the reading itself: noise that moves a point along its ray would otherwise tilt and shift every plane.
-
-    Args:
-        per_depth: (K, N) the coordinate of each ray at unit depth.
-        strips: the points.
-    """
-    ok, measured = strips.ok, strips.depth_m
-    coordinate = per_depth * measured
-    value = masked_median(coordinate, ok)
-    safe = np.where(np.abs(per_depth) < 1e-3, 1e-3, per_depth)
-    for _ in range(3):
-        depth = value[:, None] / safe
-        depth = np.where((depth > 0.5 * measured) & (depth < 2.0 * measured), depth, measured)
-        sigma = np.hypot(depth_std(depth) * per_depth, DEPTH_FLOOR_M)
-        residual = coordinate - value[:, None]
-        chi = np.abs(residual) / sigma
-        weight = np.where(ok & (chi < ROBUST_CUT), (1.0 - np.square(chi / ROBUST_CUT)) ** 2 / sigma**2, 0.0)
-        total = weight.sum(axis=1)
-        value = np.where(total > 0, value + (weight * residual).sum(axis=1) / np.maximum(total, 1e-9), value)
-    residual = coordinate - value[:, None]
-    chi = np.abs(residual) / sigma
-    inliers = _inlier_share(ok & (chi < ROBUST_CUT), ok)
-    scatter = masked_median(chi, ok) + 0.2  # + 0.2: exact depth must not divide by zero
-    weight = weight / strips.points_per_reading[:, None]
-    std = 1.0 / np.sqrt(np.maximum(weight.sum(axis=1), 1e-6))
-    return _ConstantFit(Candidate(value, std, scatter, inliers), residual, weight, depth)
-
-
-def _inlier_share(fits: np.ndarray, ok: np.ndarray) -> np.ndarray:
-    """(K,) share of the points that fit, of the worse half of a strip: two faces in one strip differ by halves.
-
-    The strips before the first and beyond the last line may end in something else, so that there the whole counts.
-    """
-    halves = [part.reshape(len(part), COLUMN_BANDS, 2, -1).sum(axis=(1, 3)).astype(np.float64) for part in (fits, ok)]
-    share = (halves[0] / np.maximum(halves[1], 1.0)).min(axis=1)
-    for outer in (0, -1):
-        share[outer] = halves[0][outer].sum() / max(halves[1][outer].sum(), 1.0)
-    return share
 
 
 def _solve_rotation(
-    fit: _Fit,
-    line_normals: np.ndarray,
-    line_direction_std: np.ndarray,
-    turned: np.ndarray,
-    gravity_std_rad: float,
+    strips: Strips, fit: _Fit, rotation: np.ndarray, views: LineViews, turned: np.ndarray, gravity_std_rad: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """One Gauss-Newton step (3,) of the rotation about (f, l, h) and its covariance (3, 3).
 
-    A small rotation w moves p to p + w x p: h gains w_f l - w_l f, and f gains w_l h - w_h l. The value of each face
-    is eliminated by centring its points.
-
     Args:
+        strips: the points.
         fit: the faces as they are now.
-        line_normals: (m, 3) normals of the lines' viewing planes in (f, l, h).
-        line_direction_std: (m,) radians.
+        rotation: (3, 3) camera to (f, l, h) as it is now.
+        views: of the lines.
         turned: (3,) rotation since the first guess.
         gravity_std_rad: of the first guess about f and l.
     """
-    used = fit.kind > 0
-    weight = fit.weight[used]
-    f, left, h = np.moveaxis(fit.fitted[used], 2, 0)
-    is_tread = (fit.kind[used] == TREAD)[:, None]
-    zero = np.zeros_like(f)
-    jacobian = np.stack(
-        [np.where(is_tread, left, zero), np.where(is_tread, -f, h), np.where(is_tread, zero, -left)], axis=2
-    )
-    total = np.maximum(weight.sum(axis=1), 1e-9)[:, None]
-    jacobian = jacobian - ((weight[:, :, None] * jacobian).sum(axis=1) / total)[:, None, :]
-    residual = fit.residual[used]
-    residual = residual - (weight * residual).sum(axis=1, keepdims=True) / total
-    flat, w = jacobian.reshape(-1, 3), weight.reshape(-1)
-    normal = (flat * w[:, None]).T @ flat
-    gradient = flat.T @ (w * residual.reshape(-1))
+    from perception import face_kernels
 
+    normal, gradient = np.zeros((3, 3)), np.zeros(3)
+    kernels: Any = face_kernels
+    kernels.normal_equations(*_points(strips, rotation), fit.kind, fit.value, normal, gradient)
     # The horizontal line in the plane with normal n runs along (n_l, -n_f, 0): its yaw error is n_l / n_f.
-    n_f, n_l, n_h = line_normals.T
+    n_f, n_l, n_h = rotation @ views.normals.T
     seen = np.abs(n_f) > 0.05  # a line at the horizon says nothing about yaw
-    n_f, n_l, n_h, direction_std = n_f[seen], n_l[seen], n_h[seen], line_direction_std[seen]
+    n_f, n_l, n_h, direction_std = n_f[seen], n_l[seen], n_h[seen], views.direction_std[seen]
     rows = np.stack([-n_h / n_f, np.zeros_like(n_f), np.ones_like(n_f)], axis=1)
     yaw_error = n_l / n_f
     sigma = np.hypot(direction_std / np.abs(n_f), 0.003)

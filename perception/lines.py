@@ -23,16 +23,8 @@ CELL_WIDTH_PX = NETWORK_SIZE_PX // GRID_COLUMNS
 SCORE_THRESHOLD = 0.5  # the paper's confidence
 
 SAME_LINE_PX = 3.0  # two predictions of a cell closer than this are one line; about three times the detector's jitter
-START_GAP_PX = 2.0  # segments of one column that are farther apart start different lines; twins are merged later
-START_SLOPE_GAP = 0.2  # segments whose slopes differ by more start different lines
 TWIN_PX = 2.5  # lines that stay closer than this are one; labels keep 3 px between lines
-JOIN_TOLERANCE_PX = 3.0  # vertical distance within which a segment lies on a line
-JOIN_GROWTH = 0.03  # extra tolerance per pixel between the segment and the known part of the line
-JOIN_LIMIT_PX = 6.0
-PENCIL_PRIOR = 1000.0  # weight of the slope that its neighbours expect of a line: (1 px of jitter / 0.03)^2
-LONE_PRIOR = 100.0  # the same where there are no neighbours to tell: (1 px / 0.1)^2
 MAX_SLOPE = 3.0  # steeper than any stair line that a camera within 60 degrees of roll can see
-MAX_ITERATIONS = 5
 SHORT_SEGMENT_PX = 8.0  # a segment this short says half of what its neighbours say about its slope
 
 LINE_FIELDS = ("x1", "y1", "x2", "y2", "k", "b", "score", "support")
@@ -125,100 +117,6 @@ def _middles(ends: np.ndarray) -> np.ndarray:
     return (ends[:, :2] + ends[:, 2:]) / 2.0
 
 
-class _Clusters:
-    """Segments, the line each belongs to (-1: none yet), and the least-squares fit of every line."""
-
-    def __init__(self, segments: Segments) -> None:
-        ends = segments.ends
-        self.x, self.y = ends[:, 0::2], ends[:, 1::2]  # (n, 2) each
-        self.middle_x, self.middle_y = self.x.mean(axis=1), self.y.mean(axis=1)
-        self.weight = segments.score
-        dx, dy = self.x[:, 1] - self.x[:, 0], self.y[:, 1] - self.y[:, 0]
-        long = dx > SHORT_SEGMENT_PX
-        common = float(np.clip(np.median(dy[long] / dx[long]), -MAX_SLOPE, MAX_SLOPE)) if long.any() else 0.0
-        self.common_slope = common
-        prior = SHORT_SEGMENT_PX**2
-        self.slope = np.clip((dx * dy + prior * common) / (dx * dx + prior), -MAX_SLOPE, MAX_SLOPE)
-        self.label = np.full(len(segments), -1)
-        self.k = self.b = self.low = self.high = np.empty(0)
-
-    def start_lines(self, chosen: np.ndarray, at_x: np.ndarray | float) -> None:
-        """Group segments without a line by where they cross x = at_x, and make each group a line.
-
-        Args:
-            chosen: (c,) indices of segments, none of which has a line.
-            at_x: where to compare them; a scalar, or (c,) with equal values for segments that may share a line.
-        """
-        if len(chosen) == 0:
-            return
-        at = np.broadcast_to(np.asarray(at_x, dtype=np.float64), chosen.shape)
-        height = self.middle_y[chosen] + self.slope[chosen] * (at - self.middle_x[chosen])
-        order = np.lexsort((height, at))
-        apart = (np.diff(height[order]) > START_GAP_PX) | (np.diff(at[order]) != 0.0)
-        group = np.concatenate([[0], np.cumsum(apart)])
-        # Lines that cross here have one height and two slopes.
-        order = order[np.lexsort((self.slope[chosen[order]], group))]
-        apart = (np.diff(group) != 0) | (np.diff(self.slope[chosen[order]]) > START_SLOPE_GAP)
-        self.label[chosen[order]] = len(self.k) + np.concatenate([[0], np.cumsum(apart)])
-        self.refit()
-
-    def refit(self) -> None:
-        """Least squares per line over the end points of its segments; lines without segments vanish."""
-        used = self.label >= 0
-        names, label = np.unique(self.label[used], return_inverse=True)
-        self.label[used] = label
-        count = len(names)
-        x, y = self.x[used].ravel(), self.y[used].ravel()
-        weight, label = np.repeat(self.weight[used], 2), np.repeat(label, 2)
-        total = np.bincount(label, weight, count)
-        mean_x = np.bincount(label, weight * x, count) / total
-        mean_y = np.bincount(label, weight * y, count) / total
-        dx, dy = x - mean_x[label], y - mean_y[label]
-        spread = np.bincount(label, weight * dx * dx, count)
-        product = np.bincount(label, weight * dx * dy, count)
-        slope, prior = self._pencil(spread, product, mean_x, mean_y)
-        self.k = np.clip((product + prior * slope) / (spread + prior), -MAX_SLOPE, MAX_SLOPE)
-        self.b = mean_y - self.k * mean_x
-        self.low, self.high = np.full(count, np.inf), np.full(count, -np.inf)
-        np.minimum.at(self.low, label, x)
-        np.maximum.at(self.high, label, x)
-
-    def _pencil(
-        self, spread: np.ndarray, product: np.ndarray, mean_x: np.ndarray, mean_y: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """The slope that each line should have, all (m,), and its weight.
-
-        Parallel lines in space meet in one point of the image.
-        Slope is then affine in the height at which a line crosses the middle of the image. It serves as a prior, which
-        only matters to lines of few segments, whose own slope is noise.
-        """
-        long = spread > PENCIL_PRIOR
-        if long.sum() < 3:
-            return np.full(len(spread), self.common_slope), LONE_PRIOR
-        own = product[long] / spread[long]
-        at_middle = mean_y + self.common_slope * (NETWORK_SIZE_PX / 2.0 - mean_x)
-        weight = spread[long]
-        centre, mean_slope = np.average(at_middle[long], weights=weight), np.average(own, weights=weight)
-        dy = at_middle[long] - centre
-        # The constant keeps few and close lines from being extrapolated.
-        trend = (weight * dy * (own - mean_slope)).sum() / ((weight * dy * dy).sum() + 1e3 * weight.mean())
-        return mean_slope + trend * (at_middle - centre), PENCIL_PRIOR
-
-    def nearest(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The line nearest to each chosen segment, and whether the segment lies on it; both (c,)."""
-        if len(self.k) == 0 or len(chosen) == 0:
-            return np.full(len(chosen), -1), np.zeros(len(chosen), dtype=bool)
-        x = self.middle_x[chosen, None]
-        gap = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
-        tolerance = np.minimum(JOIN_TOLERANCE_PX + JOIN_GROWTH * gap, JOIN_LIMIT_PX)
-        left, right = (self.x[chosen, end, None] * self.k + self.b - self.y[chosen, end, None] for end in (0, 1))
-        excess = (np.abs(left) + np.abs(right)) / (
-            2.0 * tolerance
-        )  # (c, lines); a line that crosses is off at the ends
-        best = np.argmin(excess, axis=1)
-        return best, excess[np.arange(len(chosen)), best] <= 1.0
-
-
 def cluster_segments(segments: Segments) -> np.ndarray:
     """Group segments into lines from the middle two columns outwards, iterated.
 
@@ -230,41 +128,26 @@ def cluster_segments(segments: Segments) -> np.ndarray:
     """
     if len(segments) == 0:
         return np.empty((0, len(LINE_FIELDS)))
-    clusters = _Clusters(segments)
-    right = GRID_COLUMNS // 2
-    clusters.start_lines(np.nonzero(np.isin(segments.column, (right - 1, right)))[0], right * CELL_WIDTH_PX)
-    for step in range(1, right):
-        _take_columns(clusters, segments.column, (right - 1 - step, right + step))
-    everything = np.arange(len(segments))
-    for _ in range(MAX_ITERATIONS):
-        before = clusters.label.copy()
-        best, fits = clusters.nearest(everything)
-        clusters.label = np.where(fits, best, before)
-        clusters.refit()
-        if np.array_equal(before, clusters.label):
-            break
-    return _merge_twins(_as_rows(clusters, segments))
+    from perception import line_kernels
+
+    ends = np.ascontiguousarray(segments.ends)
+    dx, dy = ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]
+    long = dx > SHORT_SEGMENT_PX
+    common = float(np.clip(np.median(dy[long] / dx[long]), -MAX_SLOPE, MAX_SLOPE)) if long.any() else 0.0
+    prior = SHORT_SEGMENT_PX**2
+    slope = np.clip((dx * dy + prior * common) / (dx * dx + prior), -MAX_SLOPE, MAX_SLOPE)
+    label, fitted = np.empty(len(segments), dtype=np.int64), np.empty((len(segments), 4))
+    score = np.ascontiguousarray(segments.score, dtype=np.float64)
+    count = line_kernels.cluster(ends, np.asarray(segments.column), score, slope, common, label, fitted)
+    return _merge_twins(_as_rows(fitted[:count], label, score))
 
 
-def _take_columns(clusters: _Clusters, column: np.ndarray, pair: tuple[int, int]) -> None:
-    """Join the segments of two columns to the lines they lie on; those on none start their own."""
-    chosen = np.nonzero((column == pair[0]) | (column == pair[1]))[0]
-    if len(chosen) == 0:
-        return
-    best, fits = clusters.nearest(chosen)
-    clusters.label[chosen[fits]] = best[fits]
-    rest = chosen[~fits]
-    if len(rest):
-        clusters.start_lines(rest, (column[rest] + 0.5) * CELL_WIDTH_PX)
-    else:
-        clusters.refit()
-
-
-def _as_rows(clusters: _Clusters, segments: Segments) -> np.ndarray:
-    k, b, x1, x2 = clusters.k, clusters.b, clusters.low, clusters.high
-    support = np.bincount(clusters.label, minlength=len(k)).astype(np.float64)
-    score = np.bincount(clusters.label, segments.score, len(k)) / support
-    rows = np.stack([x1, k * x1 + b, x2, k * x2 + b, k, b, score, support], axis=1)
+def _as_rows(fitted: np.ndarray, label: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """Rows of `LINE_FIELDS`, top to bottom, from (m, 4) k, b, least x, greatest x."""
+    k, b, x1, x2 = fitted.T
+    support = np.bincount(label, minlength=len(k)).astype(np.float64)
+    mean_score = np.bincount(label, score, len(k)) / support
+    rows = np.stack([x1, k * x1 + b, x2, k * x2 + b, k, b, mean_score, support], axis=1)
     return rows[np.argsort(rows[:, 1] + rows[:, 3])]
 
 
