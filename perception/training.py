@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -317,7 +319,6 @@ def train(
     Returns:
         The trained network, in evaluation mode.
     """
-    torch.set_flush_denormal(True)  # denormal activations of dying channels slow a CPU down many times
     # Channels-last must stay off while training: torch's CPU kernels for dilated grouped convolutions corrupt memory.
     last = output / "last.ckpt"
     keep = [
@@ -337,5 +338,16 @@ def train(
         reload_dataloaders_every_n_epochs=1,
         log_every_n_steps=10,
     )
-    trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
+    with _flushed_denormals():
+        trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
     return module.network.eval()
+
+
+@contextmanager
+def _flushed_denormals() -> Iterator[None]:
+    """Denormal activations of dying channels slow a CPU down many times; the mode is the whole process's."""
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)

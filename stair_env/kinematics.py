@@ -57,11 +57,11 @@ class LegKinematics:
         abduction = np.arctan2(z, y) - np.arctan2(down, self._side_offset)
         abduction = (abduction + np.pi) % (2 * np.pi) - np.pi
         reach = np.hypot(x, down)
-        scale = np.clip(reach, self._min_reach, self._max_reach) / reach
+        scale = np.minimum(np.maximum(reach, self._min_reach), self._max_reach) / reach
         x, down, reach = x * scale, down * scale, reach * scale
         bend = (reach**2 - self._upper**2 - self._lower**2) / (2 * self._upper * self._lower)
-        lower = -np.arccos(np.clip(bend, -1.0, 1.0))
+        lower = -np.arccos(np.minimum(np.maximum(bend, -1.0), 1.0))
         upper = np.arctan2(-x, -down) - np.arctan2(
             self._lower * np.sin(lower), self._upper + self._lower * np.cos(lower)
         )
-        return np.stack([abduction, upper, lower], axis=1).ravel()
+        return np.array([abduction, upper, lower]).T.ravel()

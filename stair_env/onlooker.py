@@ -10,6 +10,7 @@ import pybullet
 WIDTH, HEIGHT = 640, 480
 NEAR_M, FAR_M = 0.05, 20.0
 FIELD_OF_VIEW_DEG = 50.0
+AIM_OFFSET_M = (0.25, 0.0, -0.05)  # a little ahead of the trunk, where it is going
 
 
 class Onlooker:
@@ -26,7 +27,7 @@ class Onlooker:
             uint8 (480, 640, 3) and float32 (480, 640) distance along the view axis, metres.
         """
         view = client.computeViewMatrixFromYawPitchRoll(
-            cameraTargetPosition=(target + [0.25, 0.0, -0.05]).tolist(),
+            cameraTargetPosition=np.add(target, AIM_OFFSET_M).tolist(),
             distance=1.9,
             yaw=-28.0,
             pitch=-16.0,

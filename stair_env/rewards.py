@@ -12,6 +12,7 @@ from stair_env.stairs import StairProfile
 
 WANTED_SPEED = 0.35  # m/s; going faster earns nothing
 NOSING_DANGER_M = 0.03
+RISER_HIT_MIN_N = 5.0  # a lighter touch is none
 RISER_HIT_RATIO = 4.0  # a foot that is pushed sideways this much harder than it is carried has hit a riser
 
 
@@ -96,8 +97,9 @@ def reward_terms(outcome: StepOutcome, profile: StairProfile, weights: RewardWei
 
 def riser_hits(contacts: FootContacts) -> np.ndarray:
     """(4,) bool: which feet run into something upright."""
-    sideways = np.hypot(contacts.force[:, 0], contacts.force[:, 1])
-    return contacts.touching & (sideways > RISER_HIT_RATIO * np.abs(contacts.force[:, 2])) & (sideways > 5.0)
+    sideways = [math.hypot(x, y) for x, y, _ in contacts.force.tolist()]
+    limits = [max(RISER_HIT_RATIO * abs(z), RISER_HIT_MIN_N) for z in contacts.force[:, 2].tolist()]
+    return contacts.touching & np.array([force > limit for force, limit in zip(sideways, limits)])
 
 
 def feet_near_nosing(feet: np.ndarray, contacts: FootContacts, profile: StairProfile) -> np.ndarray:

@@ -17,6 +17,7 @@ from perception.training import (
     GridFrames,
     StairNetTraining,
     TrainingPreset,
+    _flushed_denormals,
     halved,
     train,
 )
@@ -154,3 +155,11 @@ def test_network_keeps_its_convolutions_dense_while_training_on_a_cpu():
     flags = [m.dense for m in module.network.modules() if hasattr(m, "dense")]
     assert flags
     assert all(flag != torch.cuda.is_available() for flag in flags)
+
+
+def test_flushing_denormals_ends_with_the_training():
+    tiny = np.finfo(np.float64).tiny
+    with pytest.raises(RuntimeError, match="broke"), _flushed_denormals():
+        assert torch.tensor(tiny, dtype=torch.float64).div(2).item() == 0.0
+        raise RuntimeError("broke off")
+    assert np.float64(tiny) / 2 > 0.0

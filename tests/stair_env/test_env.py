@@ -29,9 +29,9 @@ print("digest", digest.hexdigest())
 
 
 def climb(env, seed, options=None, steps=1200):
-    observation, info = env.reset(seed=seed, options=options)
+    _, info = env.reset(seed=seed, options=options)
     for _ in range(steps):
-        observation, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape))
+        _, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape))
         if terminated or truncated:
             break
     return info

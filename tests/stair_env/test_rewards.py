@@ -55,18 +55,14 @@ def test_going_faster_than_wanted_earns_nothing_more():
 
 
 def test_zero_weight_switches_a_term_off():
-    outcome = StepOutcome(
-        base(0), base(0), FEET, contacts(), np.zeros(16), np.zeros(16), 1, 0.0, True, False, 1 / 48
-    )
+    outcome = StepOutcome(base(0), base(0), FEET, contacts(), np.zeros(16), np.zeros(16), 1, 0.0, True, False, 1 / 48)
     assert reward_terms(outcome, PROFILE, RewardWeights(step_bonus=0.0, success=0.0))["step_bonus"] == 0.0
 
 
 def test_upright_means_along_the_slope():
     slope = 0.4
     nose_up = -0.8 * slope
-    tilted = np.array(
-        [[np.cos(nose_up), 0, np.sin(nose_up)], [0, 1, 0], [-np.sin(nose_up), 0, np.cos(nose_up)]]
-    )
+    tilted = np.array([[np.cos(nose_up), 0, np.sin(nose_up)], [0, 1, 0], [-np.sin(nose_up), 0, np.cos(nose_up)]])
     assert terms(after=base(-0.49, tilted), slope_rad=slope)["upright"] == pytest.approx(0.0, abs=1e-12)
     assert terms(after=base(-0.49, tilted))["upright"] < -0.05
 

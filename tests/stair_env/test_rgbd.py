@@ -50,7 +50,7 @@ def test_depth_is_the_distance_to_the_stairs():
     on_riser = np.abs(points[:, 0, None] - profile.edge_x).min(axis=1)
     env.close()
     assert len(rows) > 30
-    assert np.quantile(np.minimum(on_tread, on_riser), 0.95) < 0.02  # one row of pixels and the seeing pose's millimetres
+    assert np.quantile(np.minimum(on_tread, on_riser), 0.95) < 0.02  # a row of pixels covers as much
 
 
 def test_imu_at_rest_reads_gravity_in_camera_axes():
