@@ -298,7 +298,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return HipPose(float(self._state.position[0]) + reach * math.cos(yaw), yaw, self.time_s)
 
     def _observe_stairs(self) -> None:
-        self._block = self.source.read(self._hip_pose())
+        self._hips = self._hip_pose()
+        self._block = self.source.read(self._hips)
 
     def provide_stair(self, block: StairBlock | np.ndarray) -> None:
         """Give the stair block that the gait reads at the next step (stair_source="external").
@@ -335,7 +336,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return {"proprio": self._proprio(), "stair": self._block.as_array()}
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
-        truth = true_block(self.stairs, self.profile, self._hip_pose())
+        truth = true_block(self.stairs, self.profile, self._hips)
         info: dict[str, Any] = {
             "is_success": extra.get("termination") == "success",
             "steps_climbed": self._steps_climbed,
