@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -73,7 +73,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         SpecError: (a ValueError) an argument is wrong; the message names it, its value and the choices.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(CONTROL_RATE_HZ)}
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(CONTROL_RATE_HZ)}  # noqa: RUF012 (Gymnasium's)
+    observation_space: spaces.Dict  # type: ignore[assignment]
 
     def __init__(
         self,
@@ -388,7 +389,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     # ------------------------------------------------------------------ looks
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Third-person picture: uint8 (H, W, 3), or float32 (H, W) metres for "depth_array"."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="rgb_array", "depth_array" or "human"')

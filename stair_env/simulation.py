@@ -80,9 +80,7 @@ class BaseTrack:
 
     def state(self, index: int) -> BaseState:
         """One row."""
-        return BaseState(
-            self.position[index], self.rotation[index], self.velocity[index], self.angular_velocity[index]
-        )
+        return BaseState(self.position[index], self.rotation[index], self.velocity[index], self.angular_velocity[index])
 
 
 @dataclass(frozen=True)
@@ -141,16 +139,12 @@ class Simulation:
         client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
         client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self.ground = [self._add_shape(shape, friction) for shape in shapes]
-        self.body = client.loadURDF(
-            self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
-        )
+        self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES)
         self._bind_calls()
         self._index_links()
         for link in range(-1, client.getNumJoints(self.body)):
             friction_here = FOOT_FRICTION if link in self._foot_of_link else 0.5
-            client.changeDynamics(
-                self.body, link, lateralFriction=friction_here, linearDamping=0.0, angularDamping=0.0
-            )
+            client.changeDynamics(self.body, link, lateralFriction=friction_here, linearDamping=0.0, angularDamping=0.0)
 
     def _bind_calls(self) -> None:
         """Look up once what every control step calls: `BulletClient` wraps a function anew at each access."""
@@ -180,7 +174,7 @@ class Simulation:
 
     def _add_shape(self, shape: Shape, friction: float) -> int:
         client = self.client
-        kinds = {
+        kinds: dict[str, tuple[int, dict[str, Any]]] = {
             "box": (pybullet.GEOM_BOX, {"halfExtents": shape.size}),
             "sphere": (pybullet.GEOM_SPHERE, {"radius": shape.size[0]}),
             "cylinder": (pybullet.GEOM_CYLINDER, {"radius": shape.size[0], "height": 2 * shape.size[1]}),
@@ -206,9 +200,9 @@ class Simulation:
         """
         rotation = np.array(self.client.getMatrixFromQuaternion(self.client.getQuaternionFromEuler([0, pitch, yaw])))
         base_to_world = rotation.reshape(3, 3)
-        link_to_world = base_to_world @ np.array(
-            self.client.getMatrixFromQuaternion(self.robot.base_orientation)
-        ).reshape(3, 3).T
+        link_to_world = (
+            base_to_world @ np.array(self.client.getMatrixFromQuaternion(self.robot.base_orientation)).reshape(3, 3).T
+        )
         # resetBasePositionAndOrientation takes the inertial frame
         centre = np.asarray(position) + link_to_world @ self._inertial_position
         inertial_to_world = base_to_world @ self._inertial_to_canonical.T
