@@ -6,6 +6,8 @@ fractions of a degree. The filter is x-io's `imufusion` (Madgwick's revised comp
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # m/s² per g
@@ -94,13 +96,10 @@ def base_to_level(up: np.ndarray) -> np.ndarray:
     Returns:
         (3, 3): level_vector = R @ base_vector; the level frame's x axis is the base's x axis laid flat.
     """
-    forward = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    forward /= max(float(np.linalg.norm(forward)), 1e-9)
-    left = np.array(
-        [
-            up[1] * forward[2] - up[2] * forward[1],
-            up[2] * forward[0] - up[0] * forward[2],
-            up[0] * forward[1] - up[1] * forward[0],
-        ]
-    )
-    return np.stack([forward, left, up])
+    x, y, z = (-up[0] * up).tolist()
+    x += 1.0  # the base's x axis less its part along up
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    x, y, z = x / length, y / length, z / length
+    up_x, up_y, up_z = up.tolist()
+    left = [up_y * z - up_z * y, up_z * x - up_x * z, up_x * y - up_y * x]
+    return np.array([[x, y, z], left, [up_x, up_y, up_z]])

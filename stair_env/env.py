@@ -284,6 +284,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._joints, self._joint_rates, torques = sim.joint_states()
         self._contacts = sim.foot_contacts()
         self._feet = sim.foot_positions()
+        self._ground_heights: list[float] = self.profile.height_at(self._feet[:, 0]).tolist()  # under each foot
         level = base_to_level(self._attitude.up)
         if self.time_s > 0:
             self._odometry_velocity = self._odometry.update(
@@ -365,7 +366,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return int((self.profile.edge_x < self._state.position[0]).sum())
 
     def _local_slope(self) -> float:
-        front_right, front_left, rear_right, rear_left = self.profile.height_at(self._feet[:, 0]).tolist()
+        front_right, front_left, rear_right, rear_left = self._ground_heights
         rise = (front_right + front_left - rear_right - rear_left) / 2
         return math.atan2(rise, self.robot.hip_x[0] - self.robot.hip_x[1])
 
@@ -376,7 +377,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if not np.isfinite(position).all():
             return "fall"
         ground = float(self.profile.height_at(position[0]))
-        low = min(ground, float(self.profile.height_at(self._feet[:, 0]).mean()))
+        low = min(ground, sum(self._ground_heights) / 4)
         if up < FALL_COSINE or position[2] - low < FALL_HEIGHT_SHARE * self.robot.stand_height:
             return "fall"
         if abs(position[1]) > self.stairs.flight_width / 2 and 0.0 < position[0] < last_edge:
