@@ -215,17 +215,18 @@ class WorkerPool:
         deadline = time.monotonic() + self._timeout_s
         while len(answers) < len(workers):
             waiting = [worker for worker in workers if worker not in answers]
-            watched: list[Any] = [self._connections[worker] for worker in waiting]
-            watched += [self._processes[worker].sentinel for worker in waiting]
-            if not wait(watched, DEATH_CHECK_S) and time.monotonic() > deadline:
+            lines = {self._connections[worker]: worker for worker in waiting}
+            ends = {self._processes[worker].sentinel: worker for worker in waiting}
+            ready = wait([*lines, *ends], DEATH_CHECK_S)
+            if not ready and time.monotonic() > deadline:
                 self._break(f"{self._name(waiting[0])} has not answered for {self._timeout_s:g} s ({doing})")
-            for worker in waiting:
-                if self._connections[worker].poll():
-                    number, answer = self._receive(worker, doing)
-                    if number == self._number:
-                        answers[worker] = answer
-                elif not self._processes[worker].is_alive():
-                    self._report_death(worker, doing)
+            for line in lines.keys() & ready:
+                number, answer = self._receive(lines[line], doing)
+                if number == self._number:
+                    answers[lines[line]] = answer
+            for end in ends.keys() & ready:
+                if ends[end] not in answers and not self._connections[ends[end]].poll():
+                    self._report_death(ends[end], doing)
         self._raise_failure(answers, doing)
         return answers
 
