@@ -7,14 +7,56 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from policies.curves import read_curve
+from policies.checkpoints import read_state
+from policies.curves import CURVE_FILE, read_curve
 from policies.figures import draw_curves
+from policies.training import CARD_FILE, CONFIG_FILE, load_config
 from stair_env.provenance import atomic_path
 from stair_env.results_page import format_value, markdown_table
 
+PROVENANCE = ("seed", "commit", "date", "machine")
 PAGE_FILE = "README.md"
 CURVE_PICTURE = "curve.png"
 EVALUATED = ("episodes", "successes", "success_rate", "ci95", "steps_climbed_fraction", "rmse_mm")
+
+
+def run_card(folder: Path) -> tuple[dict[str, Any], Path | None]:
+    """The card of a policy of a run, and the run's learning curve.
+
+    Args:
+        folder: `RUN/final`, which holds a card, or `RUN/checkpoints/step_N`, whose card is put together from what the
+            run wrote; any other folder has an empty card.
+
+    Returns:
+        JSON-able card, and the path of `curve.csv` or None.
+    """
+    for run in (folder.parent, folder.parent.parent):
+        if (run / CONFIG_FILE).is_file():
+            break
+    else:
+        return _read(folder / CARD_FILE), None
+    curve = run / CURVE_FILE
+    card = _read(folder / CARD_FILE)
+    if not card:
+        config = load_config(run)
+        steps = read_state(folder)["num_timesteps"]
+        rows = [row for row in read_curve(curve) if row["timesteps"] <= steps]
+        card = {
+            "algorithm": config.algorithm,
+            "env_id": config.env_id,
+            "env_kwargs": dict(config.env_kwargs),
+            "hyperparams": config.resolved_hyperparams(),
+            "timesteps": steps,
+            "training": rows[-1] if rows else {},
+            **{name: value for name, value in _read(run / CONFIG_FILE).items() if name in PROVENANCE},
+        }
+    return card, curve if curve.is_file() else None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is no file."""
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return content
 
 
 def write_card(

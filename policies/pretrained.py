@@ -19,7 +19,6 @@ import gymnasium as gym
 import numpy as np
 
 from policies.checkpoints import MODEL_FILE, NORMALISATION_FILE
-from policies.curves import CURVE_FILE
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -138,7 +137,7 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
     """Put a trained policy among the shipped ones: files, hashes in the manifest, model card.
 
     Args:
-        folder: a run's `final/` folder; the learning curve is looked for beside it.
+        folder: a run's `final/` folder or one of its checkpoints.
         name: name to ship it under.
         weights: folder of shipped policies.
         evaluations: JSON files of `stair-env evaluate` for the model card.
@@ -146,24 +145,24 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
     Raises:
         PolicyError: the folder holds no policy.
     """
-    from policies.cards import write_card
+    from policies.cards import run_card, write_card
     from stair_env.provenance import atomic_path
 
     source = locate(folder, weights)
     target = weights / name
     target.mkdir(parents=True, exist_ok=True)
     hashes = {}
-    for file in (*FILES, CARD_FILE):
+    for file in FILES:
         if (source / file).is_file():
             content = (source / file).read_bytes()
             (target / file).write_bytes(content)
-            if file in FILES:
-                hashes[file] = hashlib.sha256(content).hexdigest()
+            hashes[file] = hashlib.sha256(content).hexdigest()
+    card, curve = run_card(source)
+    (target / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     manifest = {**_manifest(weights), name: hashes}
     with atomic_path(weights / MANIFEST_FILE) as temporary:
         temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    card = json.loads((target / CARD_FILE).read_text(encoding="utf-8")) if (target / CARD_FILE).is_file() else {}
-    write_card(target, name, card, source.parent / CURVE_FILE, evaluations)
+    write_card(target, name, card, curve, evaluations)
     return target
 
 

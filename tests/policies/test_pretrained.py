@@ -14,7 +14,7 @@ import pytest
 from policies import checkpoints, pretrained
 from policies.make_env import make_env, make_vec_env, normalise
 from policies.pretrained import PolicyError
-from policies.training import algorithm_class
+from policies.training import TrainingConfig, algorithm_class, train
 
 
 @pytest.fixture()
@@ -54,6 +54,7 @@ def test_named_policy_acts_like_the_trained_one(weights: Path, run_folder: Path,
 
 
 def test_model_card_tells_training_and_evaluation(run_folder: Path, tmp_path: Path) -> None:
+    (run_folder.parent / "config.json").write_text("{}")
     (run_folder.parent / "curve.csv").write_text("timesteps,success_rate,level_mean\n100,0.5,1.0\n200,0.75,2.0\n")
     overall = {"oracle": {"episodes": 50, "success_rate": 0.94, "ci95": [0.84, 0.98]}}
     evaluation = tmp_path / "evaluate.json"
@@ -62,6 +63,20 @@ def test_model_card_tells_training_and_evaluation(run_folder: Path, tmp_path: Pa
     text = (folder / "README.md").read_text()
     assert "environment steps: 128" in text and "| oracle | 50 | 0.94 | 0.84, 0.98 |" in text
     assert "curve.png" in text and (folder / "curve.png").is_file()
+
+
+def test_a_checkpoint_gets_its_card_from_the_run(toy_id: str, tmp_path: Path) -> None:
+    file = tmp_path / "ppo.yml"
+    values = {"n_timesteps": 128, "n_envs": 1, "policy": "MultiInputPolicy", "n_steps": 64, "batch_size": 64}
+    file.write_text(json.dumps({toy_id: values}))
+    config = TrainingConfig(
+        env_id=toy_id, hyperparams_file=str(file), vec_kind="dummy", checkpoint_every=64, env_kwargs={"size": 5}
+    )
+    train(config, tmp_path / "run")
+    folder = pretrained.add(tmp_path / "run" / "checkpoints" / "step_000000064", "early", tmp_path / "weights")
+    card = json.loads((folder / "card.json").read_text())
+    assert (card["timesteps"], card["env_kwargs"], card["algorithm"]) == (64, {"size": 5}, "ppo")
+    assert pretrained.load("early", make_env(toy_id, {"size": 5}), tmp_path / "weights").card == card
 
 
 def test_batches_and_single_observations_agree(weights: Path, toy_id: str) -> None:
