@@ -76,7 +76,8 @@ def test_footholds_keep_their_distance_and_their_tread(s, direction, choosing, c
     placed = step_map.clear_of_edges(s, **margins, choosing=choosing)
     for edge, rise in step_map.edges():
         assert placed <= edge - 0.05 + 1e-9 or placed >= edge + (0.05 if rise > 0 else 0.09) - 1e-9
-    assert abs(placed - s) <= 0.0701  # never further than the larger detour
+    # never further than the margins ask; half of both where the tread is free to choose
+    assert abs(placed - s) <= (0.0701 if choosing else 0.0901)
     # A correction of the map moves the foothold with its tread, it never jumps to another.
     step_map.observe(block(0.3 + correction, direction), HIP)
     assert abs(step_map.clear_of_edges(placed, **margins) - placed) <= abs(correction) + 1e-9
