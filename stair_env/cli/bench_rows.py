@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 import time
@@ -125,12 +126,14 @@ def vector_step(rounds: int) -> Row:
     vector, single = gym.make_vec(CLIMB_ID, num_envs=VECTOR_ENVS), gym.make(CLIMB_ID, disable_env_checker=True)
     actions = np.zeros(vector.action_space.shape or (), np.float32)
 
+    seeds = itertools.cycle(range(VECTOR_ENVS))  # stairs differ in cost: the one alone meets them all in turn
+
     def ours() -> float:
         vector.reset(seed=0)
         return seconds_per_call(lambda: vector.step(actions), VECTOR_STEPS)() / VECTOR_ENVS
 
     def theirs() -> float:
-        single.reset(seed=0)
+        single.reset(seed=next(seeds))
         return seconds_per_call(lambda: single.step(actions[0]), VECTOR_STEPS)()
 
     try:
