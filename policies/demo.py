@@ -41,8 +41,8 @@ class DemoConfig:
 
     policy: str | None = None
     robot: str = "aliengo"
-    episodes: int = 3
-    direction: str = "up"
+    episodes: int = 4
+    direction: str = "both"
     lighting: str = "both"
     riser_height: tuple[float, float] = (0.09, 0.14)
     tread_depth: tuple[float, float] = (0.27, 0.33)

@@ -16,10 +16,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description="Climb a few flights on what the camera sees; write demo.mp4 and summary.json.",
     )
     parser.add_argument("--output", type=Path, default=Path("runs/demo"), help="folder (%(default)s)")
-    parser.add_argument("--episodes", type=positive_int, default=3, help="flights to climb (%(default)s)")
+    parser.add_argument("--episodes", type=positive_int, default=4, help="flights to climb (%(default)s)")
     parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
     parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
-    parser.add_argument("--direction", choices=("up", "down", "both"), default="up", help="(%(default)s)")
+    parser.add_argument("--direction", choices=("up", "down", "both"), default="both", help="(%(default)s)")
     parser.add_argument("--lighting", choices=("day", "night", "both"), default="both", help="(%(default)s)")
     add_common_arguments(parser)
 

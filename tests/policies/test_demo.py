@@ -29,7 +29,7 @@ def test_directions_change_first_then_the_light() -> None:
     config = DemoConfig(direction="both", lighting="both")
     flights = [tuple(config.flight(index).values()) for index in range(5)]
     assert flights == [("up", "day"), ("down", "day"), ("up", "night"), ("down", "night"), ("up", "day")]
-    assert [DemoConfig().flight(index)["lighting"] for index in range(3)] == ["day", "night", "day"]
+    assert [DemoConfig(direction="up").flight(index)["lighting"] for index in range(3)] == ["day", "night", "day"]
 
 
 @pytest.mark.parametrize(
