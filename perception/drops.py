@@ -51,7 +51,9 @@ def locate_drops(
     Args:
         low, high: (n, 8) the lowest and the highest line (rows of `perception.lines.LINE_FIELDS`, pixels of the depth
             image) between which the nosing is expected; often the same.
-        near_height_m, far_height_m: (n,) heights of the two treads relative to the camera, metres.
+        near_height_m: (n,) height of the tread that ends, relative to the camera, metres.
+        far_height_m: (n,) height of the next tread; NaN when nothing is known of it, so that only the end of the
+            near tread counts.
         depth_m: (H, W) metres, 0 = no reading.
         intrinsics: of the depth image.
         camera_to_stair: (3, 3) rotation into (f, l, h).
@@ -106,4 +108,5 @@ def _evidence(
     sigma = np.hypot(depth_std(depth), DEPTH_FLOOR_M)
     near_miss = np.abs(depth - near_height_m[:, None, None] / rise) / sigma
     far_miss = np.abs(depth - far_height_m[:, None, None] / rise) / sigma
+    far_miss = np.where(np.isnan(far_miss), CLIP / 2.0, far_miss)
     return np.where(usable, np.minimum(far_miss, CLIP) - np.minimum(near_miss, CLIP), 0.0)

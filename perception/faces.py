@@ -201,16 +201,28 @@ class _Fit:
 
 def _fit_each(strips: Strips, rotation: np.ndarray, views: LineViews) -> _Fit:
     """Explain each strip as a tread and as a riser, and keep what fits it and its neighbours."""
-    from perception import face_kernels
-
-    answer = np.empty((2, len(strips.ok), 4))
-    kernels: Any = face_kernels
-    kernels.explain(*_points(strips, rotation), ROW_SAMPLES, answer)
-    tread, riser = (Candidate(*part.T) for part in answer)
+    tread, riser = explain_strips(strips, rotation, ROW_SAMPLES)
     enough = strips.ok.sum(axis=1) >= MIN_POINTS
     kind = choose_kinds(tread, riser, enough, *views.slopes(rotation))
     is_riser = kind == RISER
     return _Fit(kind, np.where(is_riser, riser.value, tread.value), np.where(is_riser, riser.std, tread.std))
+
+
+def explain_strips(strips: Strips, camera_to_stair: np.ndarray, rows: int) -> tuple[Candidate, Candidate]:
+    """Every strip as a tread, and every strip as a riser.
+
+    Args:
+        strips: points whose consecutive `rows` lie in one image column, upper one first.
+        camera_to_stair: (3, 3) rotation into (f, l, h).
+        rows: samples per column.
+    """
+    from perception import face_kernels
+
+    kernels: Any = face_kernels
+    answer = np.empty((2, len(strips.ok), 4))
+    kernels.explain(*_points(strips, camera_to_stair), rows, answer)
+    tread, riser = (Candidate(*part.T) for part in answer)
+    return tread, riser
 
 
 def _points(strips: Strips, rotation: np.ndarray) -> tuple[Any, ...]:

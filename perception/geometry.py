@@ -15,7 +15,8 @@ import numpy as np
 
 from perception.drops import locate_drops
 from perception.estimate import Nosing, StepMeasurement
-from perception.faces import Faces, LineViews, fit_faces, sample_strips
+from perception.faces import Faces, LineViews, Strips, fit_faces, sample_strips
+from perception.missing_lines import find_missing_lines
 from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
@@ -25,7 +26,9 @@ LINE_JITTER_PX = 0.5  # of a whole detected line, in pixels of the 512 x 512 ima
 GRAVITY_STD_RAD = math.radians(0.7)  # fused attitude on a walking robot, with some margin
 DROP_JITTER_PX = 0.4  # of a line that both the detector and depth have placed
 DROP_SHARE = 0.4  # of depth in that place, where the two agree
+MISSING_LINE_JITTER_PX = 3.0  # of a line that only depth has placed, and so says nothing that depth does not
 MAX_DISAGREEMENT_PX = 2.5  # of the two; where they are farther apart depth alone counts
+UNCONFIRMED_FACTOR = 8.0  # on the jitter of a line near which depth shows no jump: it may be 4 px off
 STRIP_IMAGE_WIDTH_PX = 640.0
 MAX_YAW_RAD = math.radians(70.0)
 
@@ -145,10 +148,9 @@ def measure_stairs(
     yaw = yaw_from_lines(normals @ level.T, lengths)
     if abs(yaw) > MAX_YAW_RAD:
         return Geometry(kinds=unknown, reason="the lines run away from the camera")
-    strips = sample_strips(chosen, depth_m, intrinsics)
-    jitter_px = LINE_JITTER_PX * max(intrinsics.width, intrinsics.height) / 512.0
-    views = _line_views(chosen, intrinsics, jitter_px)
-    faces = fit_faces(strips, level_to_stair(yaw) @ level, views, gravity_std_rad)
+    chosen, views, faces = _fit_with_missing_lines(
+        chosen, depth_m, intrinsics, level_to_stair(yaw) @ level, gravity_std_rad
+    )
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
@@ -158,8 +160,10 @@ def measure_stairs(
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
     nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
     kinds = list(unknown)
+    detected = np.cumsum(chosen[:, 6] > 0.0) - 1
     for index, kind in edge_kinds.items():
-        kinds[used[index]] = kind
+        if chosen[index, 6] > 0.0:
+            kinds[used[detected[index]]] = kind
     return Geometry(
         direction,
         nosings,
@@ -169,6 +173,28 @@ def measure_stairs(
         tuple(kinds),
         "" if any(nosing.riser_m for nosing in nosings) else "no complete riser in view",
     )
+
+
+def _fit_with_missing_lines(
+    lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, guess: np.ndarray, gravity_std_rad: float
+) -> tuple[np.ndarray, LineViews, Faces]:
+    """Faces between (m, 8) lines, nearest first, and between those that the faces show to be missing (score 0)."""
+    pixel = max(intrinsics.width, intrinsics.height) / 512.0
+
+    def fit(lines: np.ndarray, rotation: np.ndarray) -> tuple[Strips, LineViews, Faces]:
+        strips = sample_strips(lines, depth_m, intrinsics)
+        jitter_px = np.where(lines[:, 6] > 0.0, LINE_JITTER_PX, MISSING_LINE_JITTER_PX) * pixel
+        views = _line_views(lines, intrinsics, jitter_px)
+        return strips, views, fit_faces(strips, rotation, views, gravity_std_rad)
+
+    strips, views, faces = fit(lines, guess)
+    missing = find_missing_lines(strips, faces, lines, _thickness(lines, intrinsics), intrinsics, MIN_SUPPORT)
+    if len(missing) == 0:
+        return lines, views, faces
+    lines = np.concatenate([lines, missing])
+    lines = lines[np.argsort(-_height_at_middle(lines), kind="stable")]
+    _, views, faces = fit(lines, guess)
+    return lines, views, faces
 
 
 def _thickness(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -186,12 +212,11 @@ def _sharpen(
     intrinsics: Intrinsics,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the lines of descending nosings to where depth jumps; slopes as `LineViews.slopes` gives them."""
-    treads = find_drops(section)
+    treads, far = find_drops(section)
     if len(treads) == 0:
         return slopes
     low, high = lines[section.line[treads]], lines[section.last_line[treads]]
-    near, far = section.value[treads], section.value[treads + 1]
-    drops = locate_drops(low, high, near, far, depth_m, intrinsics, faces.camera_to_stair)
+    drops = locate_drops(low, high, section.value[treads], far, depth_m, intrinsics, faces.camera_to_stair)
     pixel = max(intrinsics.width, intrinsics.height) / 512.0
     share = np.where(np.abs(drops.offset_px) < MAX_DISAGREEMENT_PX * pixel, DROP_SHARE, 1.0)
     moved = low.copy()
@@ -200,16 +225,17 @@ def _sharpen(
     value, std = slopes[0].copy(), slopes[1].copy()
     index = section.line[treads]
     value[index] = np.where(drops.found, at_drop[0], value[index])
-    std[index] = np.where(drops.found, at_drop[1], std[index])
+    std[index] = np.where(drops.found, at_drop[1], UNCONFIRMED_FACTOR * std[index])
     return value, std
 
 
-def _line_views(lines: np.ndarray, intrinsics: Intrinsics, jitter_px: float) -> LineViews:
+def _line_views(lines: np.ndarray, intrinsics: Intrinsics, jitter_px: np.ndarray | float) -> LineViews:
     """Viewing planes and middle rays of (m, 8) lines whose place in the image is uncertain by jitter_px."""
     x = (lines[:, 0] + lines[:, 2]) / 2.0
     y = lines[:, 4] * x + lines[:, 5]
     rays = np.stack([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, np.ones_like(x)], axis=1)
-    jittered = rays + np.array([0.0, jitter_px / intrinsics.fy, 0.0])
+    jittered = rays.copy()
+    jittered[:, 1] += jitter_px / intrinsics.fy
     direction_std = jitter_px * 2.5 / np.maximum(lines[:, 2] - lines[:, 0], 1.0)  # sqrt(12 / 2): a line of many cells
     return LineViews(line_normals(lines, intrinsics), direction_std, rays, jittered)
 

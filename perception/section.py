@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from perception.faces import Faces, LineViews
 
 DOWN, UP = -1, 1
 MAX_RISER_M, MAX_TREAD_M = 0.25, 0.50  # larger is no stair
+MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
+MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 MAX_HIDDEN_RUN_M = 0.45  # of the tread below a nosing; when more is out of sight, a whole step may be
 MAX_SLIVER_PX = 8.0  # an unexplained strip thinner than this lies between two lines of one edge
 MAX_MISS_STD = 4.0  # a line that misses the corner of its faces by more is no edge of both
@@ -122,10 +124,20 @@ def _meeting_line(section: Section, near: int, tread: int, riser: int, slope: np
     return best
 
 
-def find_drops(section: Section) -> np.ndarray:
-    """(n,) indices of treads that are followed by a lower tread."""
+def find_drops(section: Section) -> tuple[np.ndarray, np.ndarray]:
+    """Treads that end where something lower or unexplained begins.
+
+    Returns:
+        (n,) indices of the treads, and (n,) heights of the treads one step down that follow them; NaN where what
+        follows is unexplained, or so low that a step between the two must have been missed.
+    """
     kind, value = section.kind, section.value
-    return np.nonzero((kind[:-1] == TREAD) & (kind[1:] == TREAD) & (value[1:] < value[:-1]))[0]
+    lower = (kind[1:] == TREAD) & (value[1:] < value[:-1])
+    treads = np.nonzero((kind[:-1] == TREAD) & (lower | (kind[1:] == UNKNOWN)))[0]
+    fall = np.where(lower[treads], value[treads] - value[treads + 1], np.inf)
+    usual = float(fall.min(initial=MAX_RISER_M))
+    one_step = fall < (1.0 + MAX_UNEVENNESS) * usual
+    return treads, np.where(one_step, value[treads + 1], np.nan)
 
 
 def walking_direction(section: Section, omega_m: float) -> int:
@@ -181,7 +193,33 @@ def read_nosings(
             kinds[line] = "concave"
     pitch_std = math.sqrt(float(faces.angle_cov[1, 1]))
     finished = [_finish(section, direction, edges, index, pitch_std, omega_m) for index in range(len(edges))]
-    return tuple(finished), kinds
+    return _drop_strangers(finished), kinds
+
+
+def _drop_strangers(nosings: list[Nosing]) -> tuple[Nosing, ...]:
+    """Forget risers and treads that no builder would put beside the others: they come from lines that were missed."""
+    kept = nosings
+    for name in ("riser", "tread"):
+        known = [(getattr(n, f"{name}_m"), getattr(n, f"{name}_std_m")) for n in kept if getattr(n, f"{name}_m")]
+        if len(known) < 2:
+            continue
+        lengths, stds = np.array(known).T
+        order = np.argsort(lengths)
+        weight = np.cumsum(1.0 / stds[order] ** 2)
+        usual = float(lengths[order][np.searchsorted(weight, weight[-1] / 2.0)])
+        kept = [
+            _without(n, name)
+            if getattr(n, f"{name}_m") and abs(getattr(n, f"{name}_m") - usual) > MAX_UNEVENNESS * usual
+            else n
+            for n in kept
+        ]
+    return tuple(kept)
+
+
+def _without(nosing: Nosing, name: str) -> Nosing:
+    if name == "riser":
+        return replace(nosing, riser_m=None, riser_std_m=None)
+    return replace(nosing, tread_m=None, tread_std_m=None)
 
 
 def steps_of(nosings: tuple[Nosing, ...]) -> tuple[StepMeasurement, ...]:
@@ -235,7 +273,9 @@ def _finish(
     if riser is not None and not omega_m <= riser[0] <= MAX_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
-    if tread is not None and (not omega_m <= tread[0] <= MAX_TREAD_M or (direction == DOWN and riser is None)):
+    if tread is not None and (
+        not omega_m <= tread[0] <= MAX_TREAD_M or tread[1] > MAX_TREAD_STD_M or (direction == DOWN and riser is None)
+    ):
         tread = None
     return Nosing(
         distance_m=edge.forward,

@@ -316,3 +316,15 @@ def test_the_papers_fit_agrees_where_it_is_well_conditioned(seed: int) -> None:
     assert found.direction == 1
     assert found.steps
     assert np.median(np.abs(seen.errors_mm(found)[:, 1])) < 20.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_missed_inner_edges_are_found_in_depth(seed: int) -> None:
+    """Going up, a detector sees only the nosings: depth shows where tread turns into riser."""
+    seen = view("up", seed)
+    kinds = np.array(seen.measure().kinds)
+    assert (kinds == "concave").sum() >= 2
+    found = seen.measure(lines=seen.lines[kinds != "concave"])
+    assert found.direction == 1
+    assert len(found.steps) >= 1
+    assert np.abs(seen.errors_mm(found)[:, :2]).max() < 5.0
