@@ -21,6 +21,7 @@ from stair_env.robots import RobotSpec
 from stair_env.stairs import check_range
 from stair_env.viewpoints import look_along
 
+MAX_GAP_TREADS = 1.6  # between nosings of one flight, beyond which the far one needs proof
 MAX_HIDDEN_EDGES = 2  # between the feet and the first nosing in view of a head camera
 
 
@@ -256,6 +257,8 @@ class StairTracker:
         if len(ahead) == 0 or not riser_known or abs(heading_error) > self.config.max_heading_rad:
             return NO_STAIRS
         index = int(ahead[0])
+        if not self._belongs(index):
+            return NO_STAIRS
         age = max(self._odometry.pose.time_s - self._captured_at, 0.0)
         return StairBlock(
             valid=1.0,
@@ -267,6 +270,16 @@ class StairTracker:
             age=age,
             confidence=self._confidence(index, age),
         )
+
+    def _belongs(self, index: int) -> bool:
+        """Whether a nosing continues the flight; one far beyond the others must have been seen often, riser and all."""
+        if index == 0:
+            return True
+        gap = float(self._map.ahead[index] - self._map.ahead[index - 1])
+        if gap < MAX_GAP_TREADS * self._map.tread.at(index - 1, fallback=0.30):
+            return True
+        confirmed = self._map.hits[index] >= self.config.frames_to_trust + self._map.misses[index]
+        return bool(confirmed and math.isfinite(self._map.riser.std_at(index)))
 
     def _confidence(self, index: int, age_s: float) -> float:
         """0..1: frames behind the map, spread of the next edge and its riser, age."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 
@@ -286,6 +287,20 @@ def test_camera_placement_follows_pitch_and_roll() -> None:
     x, _, z = robot.camera.position
     assert nose_up.forward_m == pytest.approx(x * math.cos(pitch) + z * math.sin(pitch), abs=1e-9)
     assert nose_up.heading_rad == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_phantom_far_behind_the_flight_is_not_the_next_edge() -> None:
+    walk = Walk(uneven("up"), drop=0.0)
+    while walk.x < -0.3:
+        walk.step()
+    seen = look(walk.profile, walk.x, walk.yaw, walk.rng)
+    phantom = Nosing(3.2, 0.02, 0.0, 0.02)
+    walk.step(estimate=dataclasses.replace(seen, nosings=(*seen.nosings, phantom)))
+    while walk.x < walk.profile.edge_x[-1] - HIP + 0.15:
+        block, truth = walk.step(), walk.truth()
+        assert not block.valid or block.edge_distance < 0.45
+    assert not truth.valid
+    assert block == NO_STAIRS
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1), ("down", -1)])
