@@ -112,6 +112,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.action_size = ACTION_SIZE if actuation == "gait" else NUM_JOINTS
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_size,), np.float32)
         self.observation_space = spaces.Dict({"proprio": proprio_space(self.action_size), "stair": stair_space()})
+        self._unreported = False  # whether an episode is under way that the curriculum has not heard of
         self._sim: Simulation | None = None
         self._onlooker: Onlooker | None = None
         self._gait = Gait(self.robot)
@@ -136,6 +137,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         options = options or {}
         for name in options:
             check_choice("option", name, ("stairs", "x", "y", "yaw"))
+        if self.curriculum is not None and self._unreported:
+            self.curriculum.report(False)  # it ran out of time
         self.stairs = self._draw_stairs(options.get("stairs"))
         self.profile = self.stairs.profile()
         spawn = draw_spawn(self.stairs, self.robot, self.spawn, self.np_random)
@@ -155,6 +158,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._begin_sensors(camera_rng)
         self._observe_stairs()
         self._steps_climbed = self._steps_behind()
+        self._unreported = False
         return self._observation(), self._info({}, {})
 
     def _draw_stairs(self, given: Any) -> StairSpec:
@@ -219,6 +223,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if action.shape != (self.action_size,):
             raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
         before = self._state
+        self._unreported = True
         self._move(action)
         self._advance_sensors()
         self._read_body()
@@ -243,7 +248,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._last_action = action
         if termination and self.curriculum is not None:
             self.curriculum.report(termination == "success")
-            self._reported = True
+            self._unreported = False
         info = self._info(terms, {"termination": termination} if termination else {})
         if self.render_mode == "human":
             self.render()

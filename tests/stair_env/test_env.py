@@ -137,6 +137,18 @@ def test_joint_actuation_and_curriculum():
     env.close()
 
 
+def test_an_episode_that_runs_out_of_time_counts_against_the_level():
+    env = StairClimbEnv(curriculum={"start": 0.02, "window": 1, "levels": 3})
+    env.curriculum.level = 2
+    env.reset(seed=0)
+    env.reset(seed=1)  # nothing happened yet
+    assert env.curriculum.level == 2
+    env.step(np.zeros(16))
+    env.reset(seed=2)
+    assert env.curriculum.level == 1
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("argument", "value"),
     [
