@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from stair_env.stairs import (
     TREAD_RANGE_M,
     SpecError,
     StairSpec,
+    as_range,
     check_choice,
     check_range,
 )
@@ -25,24 +26,6 @@ ENV_DIRECTIONS = ("up", "down", "both")
 LIGHTINGS = ("day", "night", "random")
 SPAWNS = ("floor", "anywhere")
 Range = tuple[float, float]
-
-
-def as_range(name: str, value: Any, low: float, high: float) -> Range:
-    """Read a number or [low, high] pair.
-
-    Raises:
-        SpecError: not a number or pair of numbers within the limits.
-    """
-    values = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
-    if len(values) != 2:
-        raise SpecError(f"{name}={value!r} must be a number or [low, high]")
-    for bound in values:
-        if isinstance(bound, bool):
-            raise SpecError(f"{name}={value!r} must be a number or [low, high]")
-        check_range(name, bound, low, high)
-    if values[0] > values[1]:
-        raise SpecError(f"{name}={value!r}: low is above high")
-    return (float(values[0]), float(values[1]))
 
 
 @dataclass(frozen=True)

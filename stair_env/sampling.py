@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +20,7 @@ from stair_env.stairs import (
     SideWalls,
     SpecError,
     StairSpec,
+    as_range,
     check_choice,
     check_range,
 )
@@ -46,24 +46,6 @@ OPEN_RISER_SHARE = 0.08
 SURROUNDINGS_SHARES: dict[SurroundingsKind, float] = {"indoor": 0.55, "outdoor": 0.3, "plain": 0.15}
 
 Span = float | tuple[float, float]
-
-
-def as_range(name: str, value: float | Sequence[float], low: float, high: float) -> tuple[float, float]:
-    """(low, high) of an argument that is one number or two in order.
-
-    Raises:
-        SpecError: it is neither, or outside [low, high].
-    """
-    ends = tuple(value) if isinstance(value, (list, tuple, np.ndarray)) else (value, value)
-    if len(ends) != 2:
-        raise SpecError(f"{name}={value!r} must be a number or [low, high]")
-    for end in ends:
-        if isinstance(end, bool):
-            raise SpecError(f"{name}={value!r} must be a number or [low, high]")
-        check_range(name, end, low, high)
-    if ends[0] > ends[1]:
-        raise SpecError(f"{name}={value!r} must have low <= high")
-    return (float(ends[0]), float(ends[1]))
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,22 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
         raise SpecError(f"{name}={value!r} must be one of {', '.join(map(repr, choices))}")
 
 
+def as_range(name: str, value: object, low: float, high: float) -> tuple[float, float]:
+    """Read an argument that is one number or two in order, as (low, high).
+
+    Raises:
+        SpecError: it is neither, or outside [low, high].
+    """
+    ends = tuple(value) if isinstance(value, (list, tuple, np.ndarray)) else (value, value)
+    if len(ends) != 2 or any(isinstance(end, bool) for end in ends):
+        raise SpecError(f"{name}={value!r} must be a number or [low, high]")
+    for end in ends:
+        check_range(name, end, low, high)
+    if ends[0] > ends[1]:
+        raise SpecError(f"{name}={value!r} must have low <= high")
+    return float(ends[0]), float(ends[1])
+
+
 @dataclass(frozen=True)
 class StairEdge:
     """One straight stair line in the stair frame, across the whole flight width.
