@@ -54,6 +54,7 @@ class TrainingPreset:
         small_batch_size: frames a step during those.
         dynamic_weights: equations 5 and 6 after each epoch; else the fixed weights of equation 1.
         location_loss: see `perception.losses.detection_loss`.
+        positive_weight: see `perception.losses.detection_loss`.
         precision: Lightning's name; "bf16-mixed" halves the time of a step on CPUs with bfloat16 units.
         augmentation: of the frames.
 
@@ -73,6 +74,7 @@ class TrainingPreset:
     small_batch_size: int = 16
     dynamic_weights: bool = True
     location_loss: str = "l2"
+    positive_weight: float = 1.0
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
 
@@ -111,6 +113,7 @@ PRESETS: dict[str, TrainingPreset] = {
         schedule="cosine",
         small_share=0.5,
         location_loss="l1",
+        positive_weight=1.8,
         precision="bf16-mixed",
     ),
 }
@@ -242,7 +245,8 @@ class StairNetTraining(L.LightningModule):
         rgb, depth, cls, loc = batch
         raw = self.network.forward_raw(rgb, depth)
         raw = type(raw)(raw.cls_logits.float(), raw.loc.float())
-        terms = detection_loss(raw, GridTargets(cls, loc), self.preset.location_loss)
+        preset = self.preset
+        terms = detection_loss(raw, GridTargets(cls, loc), preset.location_loss, preset.positive_weight)
         loss = total_loss(terms, self.loss_weights)
         self.log_dict({f"loss/{name}": term.detach() for name, term in terms.items()})
         self.log("loss/total", loss.detach(), prog_bar=True)

@@ -96,3 +96,15 @@ def test_wrong_arguments():
         LossWeights(-1.0, 1.0)
     with pytest.raises(ValueError, match="y=nan"):
         LossWeights(1.0, float("nan"))
+
+
+def test_the_best_constant_score_under_a_positive_weight_lies_where_the_docstring_says():
+    share, weight = 1.0 / 3.0, 2.0  # a probability of 1 / (1 + w) must score exactly 0.5
+    cls = torch.zeros(1, 1, 3, 2)
+    cls[0, 0, 0] = 1.0
+    assert float(cls.mean()) == pytest.approx(share)
+    logit = torch.zeros(1, requires_grad=True)
+    raw = RawOutput(logit.expand(1, 1, 3, 2), torch.zeros(1, 8, 3, 2))
+    terms = detection_loss(raw, GridTargets(cls, torch.zeros(1, 8, 3, 2)), positive_weight=weight)
+    terms["cls"].backward()
+    assert float(logit.grad) == pytest.approx(0.0, abs=1e-6)
