@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import copy
+from typing import TypeVar
 
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.network import Bottleneck, ConvNormAct, GroupedConv3x3, StairNetV2
+from perception.network import Bottleneck, GroupedConv3x3
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
-def folded(network: StairNetV2, *, dense: bool = False) -> StairNetV2:
-    """The same function with fewer operations.
+def folded(network: Network, *, dense: bool = False) -> Network:
+    """The same function with fewer operations: of any network of ours, the paper's opponents too.
 
     Args:
         network: left as it is.
@@ -22,10 +25,10 @@ def folded(network: StairNetV2, *, dense: bool = False) -> StairNetV2:
     """
     network = copy.deepcopy(network).cpu().eval().requires_grad_(False)
     for module in network.modules():
-        if isinstance(module, ConvNormAct):
-            module[0], module[1] = _fused(module[0], module[1]), nn.Identity()
-        elif isinstance(module, Bottleneck):
+        if isinstance(module, Bottleneck):
             _fold_bottleneck(module, dense)
+        elif isinstance(module, nn.Sequential) and [*map(type, module.children())][:2] == [nn.Conv2d, nn.BatchNorm2d]:
+            module[0], module[1] = _fused(module[0], module[1]), nn.Identity()
     return network
 
 

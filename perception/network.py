@@ -78,6 +78,13 @@ class GroupedConv3x3(nn.Module):
         return F.conv2d(x, self.weight, None, self.stride, self.dilation, self.dilation, self.groups)
 
 
+def use_dense_convolutions(network: nn.Module, dense: bool = True) -> None:
+    """Choose how the grouped convolutions of a network are computed (same results, see `GroupedConv3x3`)."""
+    for module in network.modules():
+        if isinstance(module, GroupedConv3x3):
+            module.dense = dense
+
+
 class ConvNormAct(nn.Sequential):
     """Convolution, batch norm, ReLU."""
 
@@ -229,9 +236,7 @@ class StairNetV2(nn.Module):
 
     def use_dense_convolutions(self, dense: bool = True) -> StairNetV2:
         """Choose how grouped convolutions are computed (same results, see `GroupedConv3x3`); returns self."""
-        for module in self.modules():
-            if isinstance(module, GroupedConv3x3):
-                module.dense = dense
+        use_dense_convolutions(self, dense)
         return self
 
     def forward_raw(self, rgb: Tensor, depth: Tensor) -> RawOutput:

@@ -1,4 +1,6 @@
-"""Trains StairNetV2 with Lightning: presets, frames as batches, the training module.
+"""Trains detectors with Lightning: presets, frames as batches, the training module of StairNetV2.
+
+The paper's opponents train by the same means (`perception.baselines.training`).
 
 An epoch here is a fixed number of frames, so that on a CPU a checkpoint is written every few minutes. Everything an
 epoch draws comes from (seed, epoch), so a resumed run sees the frames that an uninterrupted one would have seen.
@@ -8,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +21,7 @@ import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
-from torch import Tensor
+from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from perception.augmentation import AugmentationConfig, augment
@@ -31,7 +33,8 @@ from perception.network import StairNetV2
 from perception.preprocess import colour_input, depth_input
 
 LOGGER = logging.getLogger(__name__)
-Batch = tuple[Tensor, Tensor, Tensor, Tensor]  # rgb, depth, cls, loc
+Batch = tuple[Tensor, ...]  # rgb, depth, cls, loc for StairNetV2
+Encoder = Callable[[Sample], tuple[np.ndarray, ...]]  # a frame at full or half size -> input and targets
 FULL_SIZE = 512
 SCHEDULES = ("step", "cosine")
 
@@ -119,40 +122,6 @@ PRESETS: dict[str, TrainingPreset] = {
 }
 
 
-class GridFrames(Dataset[Batch]):
-    """Augmented frames as the network's input and targets.
-
-    Args:
-        frames: the labelled frames.
-        augmentation: None for frames as they are.
-        size: 512, or 256 for frames at half size.
-        seed: with the epoch and the index, seeds each frame's augmentation.
-        epoch: see seed.
-    """
-
-    def __init__(
-        self,
-        frames: StairDataset,
-        augmentation: AugmentationConfig | None,
-        size: int = FULL_SIZE,
-        seed: int = 0,
-        epoch: int = 0,
-    ) -> None:
-        self._frames, self._augmentation, self._size = frames, augmentation, size
-        self._seed, self._epoch = seed, epoch
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int) -> Batch:
-        sample = self._frames[index]
-        if self._augmentation is not None:
-            rng = np.random.default_rng([self._seed, self._epoch, index])
-            sample = augment(sample, self._augmentation, rng)
-        rgb, depth, cls, loc = as_arrays(halved(sample) if self._size < FULL_SIZE else sample)
-        return torch.from_numpy(rgb), torch.from_numpy(depth), torch.from_numpy(cls), torch.from_numpy(loc)
-
-
 def halved(sample: Sample) -> Sample:
     """A frame at half size; its labels too."""
     import cv2
@@ -168,6 +137,42 @@ def as_arrays(sample: Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     grid = encode_grid(sample.lines, rows=height // 16, columns=width // 32)
     rgb, depth = colour_input(sample.rgb[None])[0], depth_input(sample.depth_m[None])[0]
     return rgb, depth, grid.cls[None], np.ascontiguousarray(np.moveaxis(grid.loc, -1, 0))
+
+
+class GridFrames(Dataset[Batch]):
+    """Augmented frames as the network's input and targets.
+
+    Args:
+        frames: the labelled frames.
+        augmentation: None for frames as they are.
+        size: 512, or 256 for frames at half size.
+        seed: with the epoch and the index, seeds each frame's augmentation.
+        epoch: see seed.
+        encode: makes input and targets of a frame.
+    """
+
+    def __init__(
+        self,
+        frames: StairDataset,
+        augmentation: AugmentationConfig | None,
+        size: int = FULL_SIZE,
+        seed: int = 0,
+        epoch: int = 0,
+        encode: Encoder = as_arrays,
+    ) -> None:
+        self._frames, self._augmentation, self._size = frames, augmentation, size
+        self._seed, self._epoch, self._encode = seed, epoch, encode
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Batch:
+        sample = self._frames[index]
+        if self._augmentation is not None:
+            rng = np.random.default_rng([self._seed, self._epoch, index])
+            sample = augment(sample, self._augmentation, rng)
+        arrays = self._encode(halved(sample) if self._size < FULL_SIZE else sample)
+        return tuple(torch.from_numpy(array) for array in arrays)
 
 
 class EpochSampler(Sampler[int]):
@@ -193,13 +198,20 @@ class FrameModule(L.LightningDataModule):
         seed: of order and augmentation.
         workers: processes that read frames; 0 reads in the training process.
         validation_frames: at most so many of `val` after each epoch; None for all.
+        encode: makes a network's input and targets of a frame; StairNetV2's by default.
     """
 
     def __init__(
-        self, root: Path, preset: TrainingPreset, seed: int = 0, workers: int = 0, validation_frames: int | None = 200
+        self,
+        root: Path,
+        preset: TrainingPreset,
+        seed: int = 0,
+        workers: int = 0,
+        validation_frames: int | None = 200,
+        encode: Encoder = as_arrays,
     ) -> None:
         super().__init__()
-        self._preset, self._seed, self._workers = preset, seed, workers
+        self._preset, self._seed, self._workers, self._encode = preset, seed, workers, encode
         self._train, self._val = StairDataset(root, "train"), StairDataset(root, "val")
         self._validation_frames = validation_frames
 
@@ -210,21 +222,49 @@ class FrameModule(L.LightningDataModule):
         """Batches of the current epoch."""
         epoch = self.trainer.current_epoch if self.trainer is not None else 0
         preset = self._preset
-        frames = GridFrames(self._train, preset.augmentation, self._size(epoch), self._seed, epoch)
+        frames = GridFrames(self._train, preset.augmentation, self._size(epoch), self._seed, epoch, self._encode)
         batch = preset.small_batch_size if preset.is_small(epoch) else preset.batch_size
         sampler = EpochSampler(len(frames), preset.frames_per_epoch, self._seed, epoch)
         return DataLoader(frames, batch, sampler=sampler, num_workers=self._workers, drop_last=len(sampler) > batch)
 
     def val_dataloader(self) -> DataLoader[Batch]:
         """The same frames after every epoch, spread evenly over the set, always at full size."""
-        frames = GridFrames(self._val, None)
+        frames = GridFrames(self._val, None, encode=self._encode)
         count = min(self._validation_frames or len(frames), len(frames))
         chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
         return DataLoader(frames, 8, sampler=chosen, num_workers=self._workers)
 
 
-class StairNetTraining(L.LightningModule):
-    """Loss, dynamic weights, schedule and validation around the network.
+class DetectorTraining(L.LightningModule):
+    """The preset's optimiser and schedule around a detector; loss and validation are a subclass's.
+
+    A subclass logs `val/iou`, by which `train` keeps the best checkpoint.
+
+    Args:
+        network: to train.
+        preset: how to train.
+    """
+
+    network: nn.Module
+
+    def __init__(self, network: nn.Module, preset: TrainingPreset) -> None:
+        super().__init__()
+        self.network, self.preset = network, preset
+
+    def configure_optimizers(self) -> Any:
+        """Adam, its rate set before every step by `on_train_batch_start`."""
+        return torch.optim.Adam(self.parameters(), lr=self.preset.learning_rate, weight_decay=self.preset.weight_decay)
+
+    def on_train_batch_start(self, batch: Batch, batch_index: int) -> None:
+        """Set the learning rate from the progress, which a resumed run knows."""
+        steps = max(self.trainer.num_training_batches, 1)
+        rate = self.preset.rate(self.current_epoch + batch_index / steps)
+        for group in self.trainer.optimizers[0].param_groups:
+            group["lr"] = rate
+
+
+class StairNetTraining(DetectorTraining):
+    """Loss, dynamic weights and validation around StairNetV2.
 
     Args:
         width: of the network.
@@ -232,10 +272,11 @@ class StairNetTraining(L.LightningModule):
         fusion_stage: of the network.
     """
 
+    network: StairNetV2
+
     def __init__(self, width: float, preset: TrainingPreset, fusion_stage: int = 2) -> None:
-        super().__init__()
-        self.network = StairNetV2(width, fusion_stage).use_dense_convolutions(not torch.cuda.is_available())
-        self.preset = preset
+        network = StairNetV2(width, fusion_stage).use_dense_convolutions(not torch.cuda.is_available())
+        super().__init__(network, preset)
         self.loss_weights = LossWeights() if preset.dynamic_weights else LossWeights.fixed()
         self._counts = DetectionCounts()
         self._errors = np.zeros(2)
@@ -273,17 +314,6 @@ class StairNetTraining(L.LightningModule):
         if self.preset.dynamic_weights and not self.trainer.sanity_checking:
             self.loss_weights = self.loss_weights.updated(*self._errors.tolist())
 
-    def configure_optimizers(self) -> Any:
-        """Adam, its rate set before every step by `on_train_batch_start`."""
-        return torch.optim.Adam(self.parameters(), lr=self.preset.learning_rate, weight_decay=self.preset.weight_decay)
-
-    def on_train_batch_start(self, batch: Batch, batch_index: int) -> None:
-        """Set the learning rate from the progress, which a resumed run knows."""
-        steps = max(self.trainer.num_training_batches, 1)
-        rate = self.preset.rate(self.current_epoch + batch_index / steps)
-        for group in self.trainer.optimizers[0].param_groups:
-            group["lr"] = rate
-
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Keep the dynamic weights."""
         checkpoint["loss_weights"] = (self.loss_weights.x, self.loss_weights.y)
@@ -304,14 +334,14 @@ class EpochLine(Callback):
 
 
 def train(
-    module: StairNetTraining,
+    module: DetectorTraining,
     frames: FrameModule,
     output: Path,
     *,
     resume: bool = False,
     progress: bool = True,
-) -> StairNetV2:
-    """Train, writing checkpoints and TensorBoard events.
+) -> None:
+    """Train, writing checkpoints and TensorBoard events; leaves `module.network` in evaluation mode.
 
     Args:
         module: the network and how to train it.
@@ -319,9 +349,6 @@ def train(
         output: folder for checkpoints (`last.ckpt` after every epoch, `best.ckpt` by validation IOU) and events.
         resume: go on from `last.ckpt` when there is one.
         progress: whether to show a bar.
-
-    Returns:
-        The trained network, in evaluation mode.
     """
     # Channels-last must stay off while training: torch's CPU kernels for dilated grouped convolutions corrupt memory.
     last = output / "last.ckpt"
@@ -344,7 +371,7 @@ def train(
     )
     with _flushed_denormals():
         trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
-    return module.network.eval()
+    module.network.eval()
 
 
 @contextmanager

@@ -100,9 +100,28 @@ class ClassicalDetector:
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
         """Find lines in an image pair; see `perception.baselines.base.LineDetector`."""
+        return self._find(content_box(rgb), rgb, depth_m)
+
+    def within(self, region: np.ndarray, rgb: np.ndarray, depth_m: np.ndarray, margin_px: int = 0) -> np.ndarray:
+        """Find lines in a part of an image pair; nothing outside of it is looked at.
+
+        Args:
+            region: (4,) x1 y1 x2 y2, pixels, fractions allowed.
+            rgb, depth_m: the whole images, see `perception.baselines.base.LineDetector`.
+            margin_px: the region is widened by so many pixels on every side.
+
+        Returns:
+            (n, 4) lines, pixels of the whole image.
+        """
+        top, bottom, left, right = content_box(rgb)
+        x1, y1 = np.floor(region[:2]).astype(int) - margin_px
+        x2, y2 = np.ceil(region[2:]).astype(int) + margin_px
+        box = max(top, int(y1)), min(bottom, int(y2)), max(left, int(x1)), min(right, int(x2))
+        return self._find(box, rgb, depth_m)
+
+    def _find(self, box: tuple[int, int, int, int], rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
         p = self.parameters
-        content = content_box(rgb)
-        top, bottom, left, right = content
+        top, bottom, left, right = box
         if bottom - top < 3 * RIM_PX or right - left < 3 * RIM_PX:
             return np.zeros((0, 4))
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) if p.image == "colour" else depth_picture(depth_m)

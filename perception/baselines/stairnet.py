@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from perception.backends import check_batch
 from perception.labels import GRID_COLUMNS, GRID_ROWS, encode_grid
-from perception.losses import X_CHANNELS, Y_CHANNELS, LossWeights
+from perception.losses import LOCATION_LOSSES, X_CHANNELS, Y_CHANNELS, LossWeights
 from perception.network import (
     CARDINALITY,
     DEEP_STAGE_DILATIONS,
@@ -31,6 +31,7 @@ from perception.network import (
     Head,
 )
 from perception.preprocess import colour_input
+from stair_env.stairs import check_choice
 
 BACKGROUND, CONVEX_CELL, CONCAVE_CELL = 0, 1, 2  # classes of a cell
 CLASSES = 3
@@ -189,12 +190,15 @@ class StairNetBackend:
         return cls[:, 0].numpy(), np.ascontiguousarray(loc.permute(0, 2, 3, 1).numpy())
 
 
-def encode_targets(lines: np.ndarray, kinds: np.ndarray) -> StairNetTargets:
+def encode_targets(
+    lines: np.ndarray, kinds: np.ndarray, rows: int = GRID_ROWS, columns: int = GRID_COLUMNS
+) -> StairNetTargets:
     """Targets of one image as a batch of one.
 
     Args:
         lines: (n, 4) pixels of the 512 x 512 image.
         kinds: (n,) 0 convex, 1 concave, as label files have them.
+        rows, columns: size of the grid, for images smaller than 512 pixels; cells stay 32 x 16 pixels.
 
     Returns:
         Class and location of each cell. A cell with lines of both kinds has the class of its longest piece.
@@ -205,35 +209,46 @@ def encode_targets(lines: np.ndarray, kinds: np.ndarray) -> StairNetTargets:
     lines, kinds = np.asarray(lines, dtype=np.float64).reshape(-1, 4), np.asarray(kinds)
     if kinds.shape != (len(lines),):
         raise ValueError(f"kinds of shape {kinds.shape} must be one for each of {len(lines)} lines")
-    longest = np.stack([_longest_piece(lines[kinds == kind]) for kind in (0, 1)])
+    longest = np.stack([_longest_piece(lines[kinds == kind], rows, columns) for kind in (0, 1)])
     cell = np.where(longest.max(axis=0) > 0.0, longest.argmax(axis=0) + 1, BACKGROUND)
-    loc = np.moveaxis(encode_grid(lines).loc, -1, 0)
+    loc = np.moveaxis(encode_grid(lines, rows=rows, columns=columns).loc, -1, 0)
     return StairNetTargets(torch.from_numpy(cell)[None], torch.from_numpy(np.ascontiguousarray(loc))[None])
 
 
-def _longest_piece(lines: np.ndarray) -> np.ndarray:
-    """(32, 16) length of the longest piece in each cell, cell units, 0 in empty cells."""
-    pieces = encode_grid(lines).loc.reshape(GRID_ROWS, GRID_COLUMNS, 2, 2, 2)
+def _longest_piece(lines: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """(rows, columns) length of the longest piece in each cell, cell units, 0 in empty cells."""
+    pieces = encode_grid(lines, rows=rows, columns=columns).loc.reshape(rows, columns, 2, 2, 2)
     return np.linalg.norm(pieces[..., 1, :] - pieces[..., 0, :], axis=-1).max(axis=-1)
 
 
-def stairnet_loss(output: StairNetOutput, targets: StairNetTargets) -> dict[str, Tensor]:
+def stairnet_loss(
+    output: StairNetOutput, targets: StairNetTargets, location_loss: str = "l2", positive_weight: float = 1.0
+) -> dict[str, Tensor]:
     """The unweighted terms of equation 1, each a mean over cells and images.
 
-    Location errors are squared and counted in cells that truly hold a line, as in `perception.losses`, so that
-    StairNet and StairNetV2 differ in network, classes and weights only.
+    Location errors are counted in cells that truly hold a line, as in `perception.losses`, so that StairNet and
+    StairNetV2 differ in network, classes and weights only.
 
     Args:
         output: of `StairNet.forward_raw`.
         targets: the batch's labels.
+        location_loss: "l2" or "l1", see `perception.losses.detection_loss`.
+        positive_weight: factor on the class loss of cells that hold a line of either kind, see there.
 
     Returns:
         {"cls", "x", "y"}: scalars with gradient, for `perception.losses.total_loss` with `WEIGHTS`.
+
+    Raises:
+        SpecError: location_loss is none of its choices (a ValueError).
     """
-    holds = (targets.kinds != BACKGROUND).to(output.loc.dtype)[:, None]
-    error = holds * (output.loc - targets.loc).square()
+    check_choice("location_loss", location_loss, LOCATION_LOSSES)
+    holds = (targets.kinds != BACKGROUND).to(output.loc.dtype)
+    delta = output.loc - targets.loc
+    error = holds[:, None] * (delta.square() if location_loss == "l2" else delta.abs())
+    # Weighted cell by cell: with `weight=`, torch would divide by the sum of the weights.
+    cls = F.cross_entropy(output.kind_logits, targets.kinds, reduction="none")
     return {
-        "cls": F.cross_entropy(output.kind_logits, targets.kinds),
+        "cls": (cls * (1.0 + (positive_weight - 1.0) * holds)).mean(),
         "x": error[:, X_CHANNELS].sum(1).mean(),
         "y": error[:, Y_CHANNELS].sum(1).mean(),
     }

@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if args.start_from:
         source = load_weights(args.start_from, float(args.width), args.fusion_stage)
         module.network.load_state_dict(source.state_dict())
-    network = train(module, frames, args.output, resume=args.resume)
+    train(module, frames, args.output, resume=args.resume)
     metrics = {name: round(float(value), 4) for name, value in module.trainer.callback_metrics.items()}
     card = {
         "model": "StairNetV2",
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         "metrics": metrics,
         **provenance(args.seed),
     }
-    paths = save_weights(network, args.export or args.output, card)
+    paths = save_weights(module.network, args.export or args.output, card)
     if args.json:
         write_json(args.json, card, seed=args.seed)
     print(f"validation IOU {metrics.get('val/iou')} %; {', '.join(str(path) for path in paths)}")
