@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # m/s² per g
+DEGREES_PER_RADIAN = 180.0 / math.pi
 
 
 class AttitudeFilter:
@@ -37,6 +38,7 @@ class AttitudeFilter:
         settings.acceleration_rejection = acceleration_rejection_deg
         settings.rejection_timeout = int(2 * sample_rate_hz)
         self._ahrs.set_settings(settings)
+        self._read()
 
     def reset(self, accelerometer: np.ndarray) -> None:
         """Start from a reading at rest.
@@ -53,6 +55,7 @@ class AttitudeFilter:
         self._ahrs.restart()
         self._ahrs.skip_startup()
         self._ahrs.set_quaternion(_level_quaternion(np.asarray(accelerometer) / norm))
+        self._read()
 
     def update(self, accelerometer: np.ndarray, gyro: np.ndarray) -> None:
         """Take samples in.
@@ -61,20 +64,28 @@ class AttitudeFilter:
             accelerometer: (k, 3) specific force, m/s².
             gyro: (k, 3) rad/s.
         """
-        degrees = np.degrees(gyro)
-        in_g = accelerometer / STANDARD_GRAVITY
-        for rate, force in zip(degrees, in_g):
-            self._ahrs.update_no_magnetometer(rate, force)
+        update = self._ahrs.update_no_magnetometer
+        for rate, force in zip(gyro * DEGREES_PER_RADIAN, accelerometer / STANDARD_GRAVITY):
+            update(rate, force)
+        self._read()
+
+    def _read(self) -> None:
+        self._sensor_to_level = np.asarray(self._fusion.quaternion_to_matrix(self._ahrs.get_quaternion()))
 
     @property
     def up(self) -> np.ndarray:
         """(3,) unit vector against gravity, sensor axes (what an accelerometer at rest would read)."""
-        return self.sensor_to_level_with_yaw[2]
+        return self._sensor_to_level[2]
 
     @property
     def sensor_to_level_with_yaw(self) -> np.ndarray:
         """(3, 3) rotation from the sensor frame to a z-up frame of unknown but steady heading."""
-        return np.asarray(self._fusion.quaternion_to_matrix(self._ahrs.get_quaternion()))
+        return self._sensor_to_level
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the sensor's x axis in that frame, radians."""
+        return math.atan2(self._sensor_to_level[1, 0], self._sensor_to_level[0, 0])
 
 
 def _level_quaternion(up: np.ndarray) -> np.ndarray:

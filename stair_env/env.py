@@ -270,14 +270,12 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._motion.record(sim.step_and_track(SUBSTEPS))
         self._state = self._motion.last
         self.time_s += CONTROL_DT
-        force, rate = self._motion.at_base()
-        accelerometer, gyro = self._imu.read_many(force, rate)
-        heading_before = self._attitude.sensor_to_level_with_yaw[:, 0]
-        self._attitude.update(accelerometer, gyro)
-        heading = self._attitude.sensor_to_level_with_yaw[:, 0]
-        turn = np.arctan2(heading[1], heading[0]) - np.arctan2(heading_before[1], heading_before[0])
-        self._yaw_rate = float((turn + np.pi) % (2 * np.pi) - np.pi) / CONTROL_DT
-        self._gyro = gyro[-1]
+        samples = self._imu.sample(self._motion.at_base())
+        yaw_before = self._attitude.yaw
+        self._attitude.update(samples[:, :3], samples[:, 3:])
+        turn = self._attitude.yaw - yaw_before
+        self._yaw_rate = ((turn + math.pi) % (2 * math.pi) - math.pi) / CONTROL_DT
+        self._gyro = samples[-1, 3:]
 
     def _draw_push_time(self) -> float:
         interval = self.randomization.push_interval_s

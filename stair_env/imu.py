@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stair_env.body_kernels import digitise
 from stair_env.stairs import SpecError, check_choice, check_range
 
 GRAVITY_M_S2 = 9.81
@@ -121,7 +122,6 @@ class Imu:
         self._quantum = np.repeat([config.accel_quantum, config.gyro_quantum], 3)
         self._limit = np.repeat([_whole_steps(config.accel_range, config.accel_quantum), 0.0], 3)
         self._limit[3:] = _whole_steps(config.gyro_range, config.gyro_quantum)
-        self._steps_per_unit = np.divide(1.0, self._quantum, out=np.zeros(6), where=self._quantum > 0.0)
         self.reset(rng, dt)
 
     def reset(self, rng: np.random.Generator, dt: float) -> None:
@@ -173,19 +173,22 @@ class Imu:
         accel_true, gyro_true = np.asarray(accel_true), np.asarray(gyro_true)
         if accel_true.ndim != 2 or accel_true.shape[1] != 3 or accel_true.shape != gyro_true.shape:
             raise ValueError(f"accel_true {accel_true.shape} and gyro_true {gyro_true.shape} must both be (k, 3)")
-        values = self._take_errors(len(accel_true))
-        values[:, :3] += accel_true
-        values[:, 3:] += gyro_true
-        if self._steps_per_unit.all():
-            values *= self._steps_per_unit
-            np.rint(values, out=values)
-            values *= self._quantum
-        else:
-            rounded = np.rint(values * self._steps_per_unit) * self._quantum
-            np.copyto(values, rounded, where=self._quantum > 0.0)
-        np.minimum(values, self._limit, out=values)
-        np.maximum(values, -self._limit, out=values)
-        return values[:, :3], values[:, 3:]
+        samples = self.sample(np.concatenate([accel_true, gyro_true], axis=1))
+        return samples[:, :3], samples[:, 3:]
+
+    def sample(self, true: np.ndarray) -> np.ndarray:
+        """Consecutive samples of both sensors side by side.
+
+        Args:
+            true: (k, 6) specific force, m/s^2, and angular velocity, rad/s, in the sensor's axes.
+
+        Returns:
+            What is reported: (k, 6) float64, a new array.
+        """
+        values = self._take_errors(len(true))
+        values += true
+        digitise(values, self._quantum, self._limit)
+        return values
 
     def _take_errors(self, count: int) -> np.ndarray:
         """(count, 6) fresh copy of the next bias-plus-noise values."""

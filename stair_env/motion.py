@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, BaseState, BaseTrack, cross
+from stair_env.body_kernels import TRACK_WIDTH, feel
+from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, BaseState, BaseTrack
+
+AT_ORIGIN, ALONG_BASE = np.zeros(3), np.eye(3)  # a sensor in the base's origin with the base's axes
 
 
 class MotionRecorder:
-    """Holds the base's states at the physics rate over one control step.
+    """Holds the trunk's track over one control step.
 
     Args:
         state: where the motion begins.
@@ -16,17 +19,16 @@ class MotionRecorder:
 
     def __init__(self, state: BaseState) -> None:
         self.last = state
-        self._rotations, self._velocities = state.rotation[None], state.velocity[None]
-        self._angular = state.angular_velocity[None]
+        parts = (state.position, state.rotation.ravel(), state.velocity, state.angular_velocity)
+        self._last_row = self._start_row = np.concatenate(parts)
+        self._rows = np.empty((0, TRACK_WIDTH))
 
     def record(self, track: BaseTrack) -> None:
-        """Take the states of a control step in and forget those before its beginning."""
-        start, self.last = self.last, track.state(-1)
-        self._rotations = np.concatenate([start.rotation[None], track.rotation])
-        self._velocities = np.concatenate([start.velocity[None], track.velocity])
-        self._angular = np.concatenate([start.angular_velocity[None], track.angular_velocity])
+        """Take the track of a control step in and forget those before its beginning."""
+        self.last = track.state(-1)
+        self._start_row, self._last_row, self._rows = self._last_row, track.rows[-1], track.rows
 
-    def at_point(self, lever_arm: np.ndarray, sensor_to_base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at_point(self, lever_arm: np.ndarray, sensor_to_base: np.ndarray) -> np.ndarray:
         """Specific force and angular velocity that a sensor fixed to the trunk undergoes.
 
         Args:
@@ -34,23 +36,14 @@ class MotionRecorder:
             sensor_to_base: (3, 3) rotation.
 
         Returns:
-            (k, 3) specific force, m/s², and (k, 3) angular velocity, rad/s, both in the sensor's axes, one row per
-            recorded physics step. At rest and level the force points up with 9.81 m/s².
+            (k, 6) float64, one row per recorded physics step: specific force, m/s², and angular velocity, rad/s, in the
+            sensor's axes. At rest and level the force points up with 9.81 m/s².
         """
-        velocities = self._velocities + cross(self._angular, self._rotations @ lever_arm)
-        sensor_to_world = self._rotations[1:] @ sensor_to_base
-        return _felt(velocities, self._angular[1:], sensor_to_world)
+        felt: np.ndarray = feel(
+            self._start_row, self._rows, lever_arm, sensor_to_base.ravel(), float(PHYSICS_RATE_HZ), GRAVITY
+        )
+        return felt
 
-    def at_base(self) -> tuple[np.ndarray, np.ndarray]:
+    def at_base(self) -> np.ndarray:
         """The same as `at_point` for a sensor in the base's origin with the base's axes."""
-        return _felt(self._velocities, self._angular[1:], self._rotations[1:])
-
-
-def _felt(velocities: np.ndarray, angular: np.ndarray, sensor_to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Specific force and angular velocity in the sensor's axes, (k, 3) each, of a sensor with (k + 1, 3) velocities."""
-    acceleration = (velocities[1:] - velocities[:-1]) * PHYSICS_RATE_HZ
-    acceleration[:, 2] += GRAVITY
-    world_to_sensor = sensor_to_world.transpose(0, 2, 1)
-    force = (world_to_sensor @ acceleration[:, :, None])[..., 0]
-    rate = (world_to_sensor @ angular[:, :, None])[..., 0]
-    return force, rate
+        return self.at_point(AT_ORIGIN, ALONG_BASE)

@@ -18,7 +18,7 @@ from stair_env.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
 from stair_env.robots import CameraMount
 from stair_env.sampling import Scene, SceneSampler
 from stair_env.scene import Shape
-from stair_env.simulation import PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
+from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
 from stair_env.stairs import StairSpec
 
 IMU_BOUND = np.array([4 * 9.81] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
@@ -94,13 +94,11 @@ class StairClimbRgbdEnv(StairClimbEnv):
         self._reading: RgbdReading = self._camera.step(self.time_s, pose, self._body_shapes.shapes)
         mount = self._camera_to_base @ self._tilt
         lever = mount[:3, :3] @ np.asarray(IMU_POSITION_IN_CAMERA_M) + mount[:3, 3]
-        force, rate = self._motion.at_point(lever, mount[:3, :3])
-        if len(force) < SUBSTEPS:  # at rest, before the first step
-            force = np.tile(9.81 * (mount[:3, :3].T @ self._state.rotation[2]), (SUBSTEPS, 1))
-            rate = np.zeros((SUBSTEPS, 3))
-        accelerometer, gyro = self._camera_imu.read_many(force, rate)
-        samples = np.concatenate([accelerometer, gyro], axis=1)
-        self._imu_samples = np.clip(samples, -IMU_BOUND, IMU_BOUND).astype(np.float32)
+        felt = self._motion.at_point(lever, mount[:3, :3])
+        if len(felt) < SUBSTEPS:  # at rest, before the first step
+            felt = np.zeros((SUBSTEPS, 6))
+            felt[:, :3] = GRAVITY * (mount[:3, :3].T @ self._state.rotation[2])
+        self._imu_samples = np.clip(self._camera_imu.sample(felt), -IMU_BOUND, IMU_BOUND).astype(np.float32)
 
     def _observation(self) -> dict[str, np.ndarray]:
         return {

@@ -19,6 +19,7 @@ import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
+from stair_env.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
 from stair_env.robots import NUM_JOINTS, RobotSpec
 from stair_env.scene import Shape
 
@@ -71,16 +72,23 @@ class BaseState:
 
 @dataclass(frozen=True)
 class BaseTrack:
-    """Trunk states after each of k physics steps, fields as in `BaseState` with k rows."""
+    """Trunk states after each of k physics steps.
 
-    position: np.ndarray
-    rotation: np.ndarray
-    velocity: np.ndarray
-    angular_velocity: np.ndarray
+    Attributes:
+        rows: (k, 18) float64, see `stair_env.body_kernels.trace_trunk`.
+    """
+
+    rows: np.ndarray
 
     def state(self, index: int) -> BaseState:
         """One row."""
-        return BaseState(self.position[index], self.rotation[index], self.velocity[index], self.angular_velocity[index])
+        row = self.rows[index]
+        return BaseState(
+            position=row[POSITION:ROTATION],
+            rotation=row[ROTATION:VELOCITY].reshape(3, 3),
+            velocity=row[VELOCITY:ANGULAR_VELOCITY],
+            angular_velocity=row[ANGULAR_VELOCITY:],
+        )
 
 
 @dataclass(frozen=True)
@@ -116,6 +124,8 @@ class Simulation:
         self.ground: list[int] = []
         self._signs = np.array(robot.joint_signs)
         self._offsets = np.array(robot.joint_offsets)
+        # What Bullet calls zero, of angles, velocities and torques.
+        self._joint_zeros = np.array([self._offsets, np.zeros(NUM_JOINTS), np.zeros(NUM_JOINTS)])
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""
@@ -242,12 +252,21 @@ class Simulation:
 
     def step_and_track(self, steps: int) -> BaseTrack:
         """Advance some physics steps and tell how the trunk moved."""
-        poses, twists = [], []
+        readings: list[float] = []
         for _ in range(steps):
             self._step_simulation()
-            poses.append(self._base_pose(self.body))
-            twists.append(self._base_velocity(self.body))
-        return self._base_track(poses, twists)
+            readings += self._read_trunk()
+        return self._track(readings)
+
+    def _read_trunk(self) -> tuple[float, ...]:
+        """Position, quaternion, linear and angular velocity of Bullet's inertial frame: thirteen numbers."""
+        position, quaternion = self._base_pose(self.body)
+        linear, angular = self._base_velocity(self.body)
+        return (*position, *quaternion, *linear, *angular)
+
+    def _track(self, readings: Sequence[float]) -> BaseTrack:
+        rows = np.array(readings).reshape(-1, READING_WIDTH)
+        return BaseTrack(trace_trunk(rows, self._inertial_to_canonical, self._origin_in_base))
 
     def push(self, velocity: np.ndarray) -> None:
         """Add a velocity (3,) m/s to the trunk at once, as a shove does."""
@@ -256,22 +275,13 @@ class Simulation:
 
     def base_state(self) -> BaseState:
         """Pose and velocity of the canonical base frame."""
-        return self._base_track([self._base_pose(self.body)], [self._base_velocity(self.body)]).state(0)
-
-    def _base_track(self, poses: list[Any], twists: list[Any]) -> BaseTrack:
-        """Canonical base frame from k poses and velocities of Bullet's inertial frame."""
-        matrices = [pybullet.getMatrixFromQuaternion(quaternion) for _, quaternion in poses]
-        rotation = np.array(matrices).reshape(-1, 3, 3) @ self._inertial_to_canonical
-        offset = rotation @ self._origin_in_base
-        linear, angular = np.array(twists).transpose(1, 0, 2)
-        position = np.array([position for position, _ in poses]) + offset
-        return BaseTrack(position, rotation, linear + cross(angular, offset), angular)
+        return self._track(self._read_trunk()).state(0)
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""
         angles, velocities, _, torques = zip(*self._joint_states(self.body, self._joints))
-        angles, velocities, torques = np.array([angles, velocities, torques])
-        return self._signs * (angles - self._offsets), self._signs * velocities, self._signs * torques
+        angles, velocities, torques = self._signs * (np.array([angles, velocities, torques]) - self._joint_zeros)
+        return angles, velocities, torques
 
     def foot_positions(self) -> np.ndarray:
         """(4, 3) foot centres in the world frame, metres."""
@@ -289,10 +299,10 @@ class Simulation:
                 continue
             touching[foot] = True
             normal, friction_1, friction_2 = point[7], point[11], point[13]
-            for axis in range(3):
-                force[foot][axis] += (
-                    point[9] * normal[axis] + point[10] * friction_1[axis] + point[12] * friction_2[axis]
-                )
+            press, slip_1, slip_2, total = point[9], point[10], point[12], force[foot]
+            total[0] += press * normal[0] + slip_1 * friction_1[0] + slip_2 * friction_2[0]
+            total[1] += press * normal[1] + slip_1 * friction_1[1] + slip_2 * friction_2[1]
+            total[2] += press * normal[2] + slip_1 * friction_1[2] + slip_2 * friction_2[2]
         return FootContacts(np.array(touching), np.array(force), body_touches)
 
     def follow_with_camera(self, position: np.ndarray, yaw_deg: float = 50.0) -> None:
@@ -305,9 +315,3 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> Any:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(matrix).as_quat()
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of (k, 3) vectors; np.cross costs several times as much at this size."""
-    (a_x, a_y, a_z), (b_x, b_y, b_z) = a.T, b.T
-    return np.array([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x]).T
