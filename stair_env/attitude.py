@@ -65,7 +65,12 @@ class AttitudeFilter:
             gyro: (k, 3) rad/s.
         """
         update = self._ahrs.update_no_magnetometer
-        for rate, force in zip(gyro * DEGREES_PER_RADIAN, accelerometer / STANDARD_GRAVITY):
+        # The library computes in single precision; handing it over spares a conversion per call.
+        degrees, in_g = (
+            (gyro * DEGREES_PER_RADIAN).astype(np.float32),
+            (accelerometer / STANDARD_GRAVITY).astype(np.float32),
+        )
+        for rate, force in zip(degrees, in_g):
             update(rate, force)
         self._read()
 

@@ -23,6 +23,7 @@ from stair_env.episode import (
 )
 from stair_env.gait import ACTION_SIZE, Gait
 from stair_env.imu import Imu, ImuConfig
+from stair_env.judgement import FAILURES, Judge
 from stair_env.kinematics import LegKinematics
 from stair_env.motion import MotionRecorder
 from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
@@ -38,10 +39,6 @@ from stair_env.stairs import SpecError, StairSpec, check_choice
 ACTUATIONS = ("gait", "joint")
 JOINT_ACTION_RAD = 0.5  # actuation="joint": an action of ±1 moves a joint this far from standing
 SETTLE_STEPS = 12  # control steps to stand still before the episode begins
-FALL_COSINE = 0.45  # trunk tilted more than 63° from upright
-FALL_HEIGHT_SHARE = 0.4  # of the standing height above the ground below
-WALKED_AWAY_M = 1.5  # behind the start
-
 RENDER_MODES = ("human", "rgb_array", "depth_array")
 
 
@@ -157,7 +154,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.source.reset(self.stairs, source_rng)
         self._begin_sensors(camera_rng)
         self._observe_stairs()
-        self._steps_climbed = self._steps_behind()
+        self._judge = Judge(self.stairs, self.profile, self.robot, float(spawn.position[0]))
+        self._steps_climbed = self._judge.steps_behind(float(self._state.position[0]))
         self._unreported = False
         return self._observation(), self._info({}, {})
 
@@ -195,7 +193,6 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._read_body()
         feet = self._kinematics.foot_positions(self._joints) @ base_to_level(self._attitude.up).T
         self._gait.reset(feet[:, 2] - feet[0, 2], phase=float(self._body_rng.random()), pitch=spawn.pitch)
-        self._start_x = float(spawn.position[0])
         self._next_push_s = self._draw_push_time()
         self._energy = 0.0
 
@@ -228,20 +225,22 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._advance_sensors()
         self._read_body()
         self._observe_stairs()
-        steps_climbed = max(self._steps_climbed, self._steps_behind())
+        steps_climbed = max(self._steps_climbed, self._judge.steps_behind(float(self._state.position[0])))
         new_steps, self._steps_climbed = steps_climbed - self._steps_climbed, steps_climbed
-        termination = self._termination()
+        feet = self._feet.tolist()
+        termination = self._judge.termination(self._state, feet)
         outcome = StepOutcome(
             before=before,
             after=self._state,
-            feet=self._feet,
+            feet=feet,
             contacts=self._contacts,
+            riser_hits=self._riser_hits,
             action=action,
             last_action=self._last_action,
             new_steps=new_steps,
-            slope_rad=self._local_slope(),
+            slope_rad=self._judge.local_slope(feet),
             success=termination == "success",
-            fell=termination in ("fall", "left_flight", "walked_away"),
+            fell=termination in FAILURES,
             dt=CONTROL_DT,
         )
         terms = reward_terms(outcome, self.profile, self.weights)
@@ -287,7 +286,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._joints, self._joint_rates, torques = sim.joint_states()
         self._contacts = sim.foot_contacts()
         self._feet = sim.foot_positions()
-        self._ground_heights: list[float] = self.profile.height_at(self._feet[:, 0]).tolist()  # under each foot
+        self._riser_hits = sum(riser_hits(self._contacts))
         level = base_to_level(self._attitude.up)
         if self.time_s > 0:
             self._odometry_velocity = self._odometry.update(
@@ -354,7 +353,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
                 "position": self._state.position.tolist(),
                 "velocity": self._state.velocity.tolist(),
                 "yaw": self._state.yaw,
-                "riser_hits": int(np.count_nonzero(riser_hits(self._contacts))),
+                "riser_hits": self._riser_hits,
                 "energy_j": self._energy,
             },
             **extra,
@@ -362,34 +361,6 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if self.curriculum is not None:
             info["curriculum_level"] = self.curriculum.level
         return info
-
-    # ------------------------------------------------------------------ judgement (never seen by the policy)
-
-    def _steps_behind(self) -> int:
-        return int((self.profile.edge_x < self._state.position[0]).sum())
-
-    def _local_slope(self) -> float:
-        front_right, front_left, rear_right, rear_left = self._ground_heights
-        rise = (front_right + front_left - rear_right - rear_left) / 2
-        return math.atan2(rise, self.robot.hip_x[0] - self.robot.hip_x[1])
-
-    def _termination(self) -> str:
-        """Why the episode is over; empty while it is not."""
-        position, up = self._state.position, float(self._state.rotation[2, 2])
-        last_edge, final_level = float(self.profile.edge_x[-1]), float(self.profile.level_z[-1])
-        if not np.isfinite(position).all():
-            return "fall"
-        ground = float(self.profile.height_at(position[0]))
-        low = min(ground, sum(self._ground_heights) / 4)
-        if up < FALL_COSINE or position[2] - low < FALL_HEIGHT_SHARE * self.robot.stand_height:
-            return "fall"
-        if abs(position[1]) > self.stairs.flight_width / 2 and 0.0 < position[0] < last_edge:
-            return "left_flight"
-        if position[0] < self._start_x - WALKED_AWAY_M:
-            return "walked_away"
-        rear = self._feet[2:].tolist()
-        landed = all(x > last_edge and abs(z - final_level) < 0.15 for x, _, z in rear)
-        return "success" if landed and up > 0.8 else ""
 
     # ------------------------------------------------------------------ looks
 

@@ -51,6 +51,7 @@ def _slices() -> dict[str, slice]:
 PROPRIO_SLICES = _slices()
 PROPRIO_SIZE = sum(length for length, _ in PROPRIO_FIELDS.values())
 PROPRIO_BOUND = np.concatenate([np.full(length, bound, np.float32) for length, bound in PROPRIO_FIELDS.values()])
+PROPRIO_LOW = -PROPRIO_BOUND
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,9 @@ class StairBlock:
         """(8,) float32 within the block's bounds; all zero when invalid."""
         if self.valid < 0.5:
             return np.zeros(len(STAIR_FIELDS), np.float32)
-        values = np.array([getattr(self, name) for name in STAIR_FIELDS], np.float32)
-        return np.minimum(np.maximum(values, STAIR_LOW), STAIR_HIGH)
+        values = np.array(list(vars(self).values()), np.float32)
+        np.maximum(values, STAIR_LOW, out=values)
+        return np.minimum(values, STAIR_HIGH, out=values)
 
     @classmethod
     def from_array(cls, block: np.ndarray) -> StairBlock:
@@ -104,6 +106,7 @@ def proprio_space(action_size: int = 16) -> spaces.Box:
 
 def pack_proprio(fields: Mapping[str, np.ndarray | Sequence[float]]) -> np.ndarray:
     """Concatenate named vectors in the documented order, clipped to the space's bounds, float32."""
-    packed = np.concatenate([fields[name] for name in PROPRIO_FIELDS]).astype(np.float32)
-    bound = PROPRIO_BOUND[: len(packed)]
-    return np.minimum(np.maximum(packed, -bound), bound)
+    parts = [fields[name] for name in PROPRIO_FIELDS]
+    packed = np.concatenate(parts, dtype=np.float32, casting="same_kind")
+    np.minimum(packed, PROPRIO_BOUND[: len(packed)], out=packed)
+    return np.maximum(packed, PROPRIO_LOW[: len(packed)], out=packed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,14 +36,14 @@ class RewardWeights:
 REWARD_TERMS = tuple(field.name for field in fields(RewardWeights))
 
 
-@dataclass(frozen=True)
-class StepOutcome:
+class StepOutcome(NamedTuple):
     """What the terms are computed from.
 
     Attributes:
         before, after: base state at the start and the end of the control step.
-        feet: (4, 3) world, metres.
+        feet: (4, 3) world, metres, plain numbers.
         contacts: at the end of the step.
+        riser_hits: feet that ran into something upright, see `riser_hits`.
         action, last_action: (n,) in [-1, 1].
         new_steps: edges that the robot got behind it for the first time (negative: fell back).
         slope_rad: nose-up pitch that suits the ground under the feet.
@@ -52,8 +53,9 @@ class StepOutcome:
 
     before: BaseState
     after: BaseState
-    feet: np.ndarray
+    feet: list[list[float]]
     contacts: FootContacts
+    riser_hits: int
     action: np.ndarray
     last_action: np.ndarray
     new_steps: int
@@ -86,23 +88,26 @@ def reward_terms(outcome: StepOutcome, profile: StairProfile, weights: RewardWei
         "upright": -tilt * 10.0,
         "action_rate": -float(change @ change),
         "action_size": -float(outcome.action @ outcome.action),
-        "riser_hit": -float(np.count_nonzero(riser_hits(outcome.contacts))),
-        "nosing": -float(np.count_nonzero(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
+        "riser_hit": -float(outcome.riser_hits),
+        "nosing": -float(sum(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
         "step_bonus": float(outcome.new_steps),
         "success": float(outcome.success),
         "fall": -float(outcome.fell),
     }
-    return {name: getattr(weights, name) * raw[name] for name in REWARD_TERMS}
+    return {name: weight * raw[name] for name, weight in vars(weights).items()}
 
 
-def riser_hits(contacts: FootContacts) -> np.ndarray:
-    """(4,) bool: which feet run into something upright."""
-    sideways = [math.hypot(x, y) for x, y, _ in contacts.force.tolist()]
-    limits = [max(RISER_HIT_RATIO * abs(z), RISER_HIT_MIN_N) for z in contacts.force[:, 2].tolist()]
-    return contacts.touching & np.array([force > limit for force, limit in zip(sideways, limits)])
+def riser_hits(contacts: FootContacts) -> list[bool]:
+    """Which of the four feet run into something upright."""
+    return [
+        touches and math.hypot(x, y) > max(RISER_HIT_RATIO * abs(z), RISER_HIT_MIN_N)
+        for touches, (x, y, z) in zip(contacts.touching.tolist(), contacts.force.tolist())
+    ]
 
 
-def feet_near_nosing(feet: np.ndarray, contacts: FootContacts, profile: StairProfile) -> np.ndarray:
-    """(4,) bool: which standing feet are so close to an edge that they may slip off."""
-    distance = np.abs(feet[:, 0, None] - profile.edge_x[None]).min(axis=1)
-    return contacts.touching & (distance < NOSING_DANGER_M)
+def feet_near_nosing(feet: list[list[float]], contacts: FootContacts, profile: StairProfile) -> list[bool]:
+    """Which of the four feet stand so close to an edge that they may slip off."""
+    return [
+        touches and profile.distance_to_edge(x) < NOSING_DANGER_M
+        for touches, (x, _, _) in zip(contacts.touching.tolist(), feet)
+    ]

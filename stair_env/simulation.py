@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ class BaseState:
     velocity: np.ndarray
     angular_velocity: np.ndarray
 
-    @property
+    @cached_property
     def yaw(self) -> float:
         """Heading about world z, radians."""
         return math.atan2(self.rotation[1, 0], self.rotation[0, 0])

@@ -15,7 +15,7 @@ from stair_env.simulation import BaseState, FootContacts
 from stair_env.stairs import StairSpec
 
 PROFILE = StairSpec().profile()
-FEET = np.array([[-0.3, -0.1, 0.03], [-0.3, 0.1, 0.03], [-0.8, -0.1, 0.03], [-0.8, 0.1, 0.03]])
+FEET = [[-0.3, -0.1, 0.03], [-0.3, 0.1, 0.03], [-0.8, -0.1, 0.03], [-0.8, 0.1, 0.03]]
 
 
 def contacts(force=(0.0, 0.0, 50.0)):
@@ -32,6 +32,7 @@ def terms(**changes):
         "after": base(-0.5 + WANTED_SPEED / 48),
         "feet": FEET,
         "contacts": contacts(),
+        "riser_hits": 0,
         "action": np.zeros(16),
         "last_action": np.zeros(16),
         "new_steps": 0,
@@ -55,7 +56,9 @@ def test_going_faster_than_wanted_earns_nothing_more():
 
 
 def test_zero_weight_switches_a_term_off():
-    outcome = StepOutcome(base(0), base(0), FEET, contacts(), np.zeros(16), np.zeros(16), 1, 0.0, True, False, 1 / 48)
+    outcome = StepOutcome(
+        base(0), base(0), FEET, contacts(), 0, np.zeros(16), np.zeros(16), 1, 0.0, True, False, 1 / 48
+    )
     assert reward_terms(outcome, PROFILE, RewardWeights(step_bonus=0.0, success=0.0))["step_bonus"] == 0.0
 
 
@@ -68,12 +71,12 @@ def test_upright_means_along_the_slope():
 
 
 def test_riser_hits_need_force_and_direction():
-    assert not riser_hits(contacts((10.0, 0.0, 50.0))).any()
-    assert riser_hits(contacts((50.0, 0.0, 5.0))).all()
-    assert not riser_hits(contacts((4.0, 0.0, 0.0))).any()
+    assert not any(riser_hits(contacts((10.0, 0.0, 50.0))))
+    assert all(riser_hits(contacts((50.0, 0.0, 5.0))))
+    assert not any(riser_hits(contacts((4.0, 0.0, 0.0))))
+    assert terms(riser_hits=2)["riser_hit"] == 2 * terms(riser_hits=1)["riser_hit"] < 0.0
 
 
 def test_feet_near_a_nosing_are_found():
-    feet = FEET.copy()
-    feet[0, 0], feet[1, 0] = 0.29, 0.35
-    assert feet_near_nosing(feet, contacts(), PROFILE).tolist() == [True, False, False, False]
+    feet = [[0.29, 0.0, 0.0], [0.35, 0.0, 0.0], *FEET[2:]]
+    assert feet_near_nosing(feet, contacts(), PROFILE) == [True, False, False, False]
