@@ -30,7 +30,7 @@ SUBSTEPS = 5
 CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
 CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
 POSITION_GAIN, VELOCITY_GAIN = 0.2, 0.8  # Bullet's position motor; measured to hold a trot on stairs
-FOOT_FRICTION = 1.0  # multiplied with the ground's by Bullet
+FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
 SHAPE_COLOURS = {
     "floor": (0.62, 0.61, 0.58, 1.0),
     "step": (0.72, 0.69, 0.64, 1.0),
@@ -153,9 +153,11 @@ class Simulation:
         self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES)
         self._bind_calls()
         self._index_links()
+        # Damping belongs to the body: PyBullet applies a call that names it to link -1, its friction included.
+        client.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0)
         for link in range(-1, client.getNumJoints(self.body)):
-            friction_here = FOOT_FRICTION if link in self._foot_of_link else 0.5
-            client.changeDynamics(self.body, link, lateralFriction=friction_here, linearDamping=0.0, angularDamping=0.0)
+            friction_here = FOOT_FRICTION if link in self._foot_of_link else LINK_FRICTION
+            client.changeDynamics(self.body, link, lateralFriction=friction_here)
 
     def _bind_calls(self) -> None:
         """Look up once what every control step calls: `BulletClient` wraps a function anew at each access."""
