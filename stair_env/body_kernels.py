@@ -1,7 +1,8 @@
 """Compiled maths of the robot's body. Importing this module loads numba.
 
 Arrays of a dozen numbers cost numpy more to hand around than to work on; a control step of the environment meets some
-hundred such operations, which outweigh the physics. Here each is a loop over plain floats.
+hundred such operations, which outweigh the physics. Here each is a loop over plain floats. Signatures are given, so
+that whoever imports this compiles it (or finds it compiled), and no control step ever waits for a compiler.
 """
 
 from __future__ import annotations
@@ -9,149 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import float64, njit, void
 
+FLOATS, ROWS = float64[::1], float64[:, ::1]  # contiguous arrays of one and two dimensions
 Vector = tuple[float, float, float]
 # Where a row of a trunk's track holds what; the rotation base_to_world lies row by row.
 POSITION, ROTATION, VELOCITY, ANGULAR_VELOCITY, TRACK_WIDTH = 0, 3, 12, 15, 18
 READING_WIDTH = 13  # what Bullet tells about a body: position, quaternion, linear and angular velocity
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def forward_legs(joint_angles: np.ndarray, hips: np.ndarray, side_offsets: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """Foot centres of four legs.
-
-    Args:
-        joint_angles: (12,) abduction, upper and lower angle of each leg, radians.
-        hips: (4, 3) base frame, metres.
-        side_offsets: (4,) signed distance from hip to leg plane, metres.
-        links: (2,) lengths of the upper and lower link, metres.
-
-    Returns:
-        (4, 3) float64, base frame, metres.
-    """
-    feet = np.empty((4, 3))
-    for leg in range(4):
-        abduction, upper = joint_angles[3 * leg], joint_angles[3 * leg + 1]
-        knee = upper + joint_angles[3 * leg + 2]
-        down = -links[0] * math.cos(upper) - links[1] * math.cos(knee)
-        cos, sin = math.cos(abduction), math.sin(abduction)
-        feet[leg, 0] = hips[leg, 0] - links[0] * math.sin(upper) - links[1] * math.sin(knee)
-        feet[leg, 1] = hips[leg, 1] + side_offsets[leg] * cos - down * sin
-        feet[leg, 2] = hips[leg, 2] + side_offsets[leg] * sin + down * cos
-    return feet
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def inverse_legs(
-    feet: np.ndarray, hips: np.ndarray, side_offsets: np.ndarray, links: np.ndarray, min_reach: float, max_reach: float
-) -> np.ndarray:
-    """Joint angles that put four feet where asked, or as near as the legs reach.
-
-    Args:
-        feet: (4, 3) base frame, metres.
-        hips, side_offsets, links: as in `forward_legs`.
-        min_reach, max_reach: distances between hip axis and foot that are asked of a leg, metres.
-
-    Returns:
-        (12,) float64, radians.
-    """
-    upper_length, lower_length = links[0], links[1]
-    angles = np.empty(12)
-    for leg in range(4):
-        x, y, z = feet[leg, 0] - hips[leg, 0], feet[leg, 1] - hips[leg, 1], feet[leg, 2] - hips[leg, 2]
-        side = side_offsets[leg]
-        down = -math.sqrt(max(y * y + z * z - side * side, 1e-4))
-        abduction = math.atan2(z, y) - math.atan2(down, side)
-        reach = math.hypot(x, down)
-        scale = min(max(reach, min_reach), max_reach) / reach
-        x, down, reach = x * scale, down * scale, reach * scale
-        bend = (reach * reach - upper_length**2 - lower_length**2) / (2 * upper_length * lower_length)
-        lower = -math.acos(min(max(bend, -1.0), 1.0))
-        inward = math.atan2(lower_length * math.sin(lower), upper_length + lower_length * math.cos(lower))
-        angles[3 * leg] = (abduction + math.pi) % (2 * math.pi) - math.pi
-        angles[3 * leg + 1] = math.atan2(-x, -down) - inward
-        angles[3 * leg + 2] = lower
-    return angles
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def trace_trunk(readings: np.ndarray, inertial_to_base: np.ndarray, origin_in_base: np.ndarray) -> np.ndarray:
-    """Motion of the base frame from that of Bullet's inertial frame.
-
-    Args:
-        readings: (k, 13) position and quaternion (x, y, z, w) of the inertial frame, metres, and its linear and angular
-            velocity, m/s and rad/s, all in the world frame.
-        inertial_to_base: (3, 3) rotation; inertial_to_world times this is base_to_world.
-        origin_in_base: (3,) base's origin from the centre of mass, base axes, metres.
-
-    Returns:
-        (k, 18) float64, the track: position, rotation base_to_world, linear velocity of the origin, angular velocity.
-    """
-    track = np.empty((len(readings), TRACK_WIDTH))
-    origin = _vector(origin_in_base, 0)
-    for k in range(len(readings)):
-        reading, row = readings[k], track[k]
-        rotation = row[ROTATION:VELOCITY]
-        _write_rotation(reading[3:7], inertial_to_base, rotation)
-        offset, spin = _turned(rotation, origin), _vector(reading, 10)
-        sweep = _cross(spin, offset)
-        for axis in range(3):
-            row[POSITION + axis] = reading[axis] + offset[axis]
-            row[VELOCITY + axis] = reading[7 + axis] + sweep[axis]
-            row[ANGULAR_VELOCITY + axis] = spin[axis]
-    return track
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def feel(
-    start: np.ndarray, track: np.ndarray, lever: np.ndarray, sensor_to_base: np.ndarray, rate_hz: float, gravity: float
-) -> np.ndarray:
-    """What ideal inertial sensors fixed to the trunk undergo along its track.
-
-    Args:
-        start: (18,) row of the track before its first.
-        track: (k, 18) as `trace_trunk` returns it.
-        lever: (3,) sensor in the base frame, metres.
-        sensor_to_base: (9,) rotation, row by row.
-        rate_hz: rows per second.
-        gravity: m/s².
-
-    Returns:
-        (k, 6) float64: specific force, m/s², and angular velocity, rad/s, in the sensor's axes.
-    """
-    felt = np.empty((len(track), 6))
-    arm = _vector(lever, 0)
-    last = _point_velocity(start, arm)
-    for k in range(len(track)):
-        row = track[k]
-        now = _point_velocity(row, arm)
-        push = (
-            (now[0] - last[0]) * rate_hz,
-            (now[1] - last[1]) * rate_hz,
-            (now[2] - last[2]) * rate_hz + gravity,
-        )
-        rotation = row[ROTATION:VELOCITY]
-        force = _turned_back(sensor_to_base, _turned_back(rotation, push))
-        spin = _turned_back(sensor_to_base, _turned_back(rotation, _vector(row, ANGULAR_VELOCITY)))
-        for axis in range(3):
-            felt[k, axis], felt[k, 3 + axis] = force[axis], spin[axis]
-        last = now
-    return felt
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def digitise(values: np.ndarray, quantum: np.ndarray, limit: np.ndarray) -> None:
-    """Round (k, n) values, in place, to whole steps of quantum (n,), 0 for none, and keep them within ±limit (n,)."""
-    for k in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            value = values[k, i]
-            if quantum[i] > 0.0:
-                value = np.rint(value * (1.0 / quantum[i])) * quantum[i]
-            values[k, i] = max(min(value, limit[i]), -limit[i])
-
-
-# ---------------------------------------------------------------------- vectors
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -204,3 +69,137 @@ def _write_rotation(quaternion: np.ndarray, after: np.ndarray, rotation: np.ndar
         rotation[j] = xx * a + (xy - wz) * b + (xz + wy) * c
         rotation[3 + j] = (xy + wz) * a + yy * b + (yz - wx) * c
         rotation[6 + j] = (xz - wy) * a + (yz + wx) * b + zz * c
+
+
+@njit(ROWS(FLOATS, ROWS, FLOATS, FLOATS), cache=True, nogil=True, error_model="numpy")
+def forward_legs(joint_angles: np.ndarray, hips: np.ndarray, side_offsets: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Foot centres of four legs.
+
+    Args:
+        joint_angles: (12,) abduction, upper and lower angle of each leg, radians.
+        hips: (4, 3) base frame, metres.
+        side_offsets: (4,) signed distance from hip to leg plane, metres.
+        links: (2,) lengths of the upper and lower link, metres.
+
+    Returns:
+        (4, 3) float64, base frame, metres.
+    """
+    feet = np.empty((4, 3))
+    for leg in range(4):
+        abduction, upper = joint_angles[3 * leg], joint_angles[3 * leg + 1]
+        knee = upper + joint_angles[3 * leg + 2]
+        down = -links[0] * math.cos(upper) - links[1] * math.cos(knee)
+        cos, sin = math.cos(abduction), math.sin(abduction)
+        feet[leg, 0] = hips[leg, 0] - links[0] * math.sin(upper) - links[1] * math.sin(knee)
+        feet[leg, 1] = hips[leg, 1] + side_offsets[leg] * cos - down * sin
+        feet[leg, 2] = hips[leg, 2] + side_offsets[leg] * sin + down * cos
+    return feet
+
+
+@njit(FLOATS(ROWS, ROWS, FLOATS, FLOATS, float64, float64), cache=True, nogil=True, error_model="numpy")
+def inverse_legs(
+    feet: np.ndarray, hips: np.ndarray, side_offsets: np.ndarray, links: np.ndarray, min_reach: float, max_reach: float
+) -> np.ndarray:
+    """Joint angles that put four feet where asked, or as near as the legs reach.
+
+    Args:
+        feet: (4, 3) base frame, metres.
+        hips, side_offsets, links: as in `forward_legs`.
+        min_reach, max_reach: distances between hip axis and foot that are asked of a leg, metres.
+
+    Returns:
+        (12,) float64, radians.
+    """
+    upper_length, lower_length = links[0], links[1]
+    angles = np.empty(12)
+    for leg in range(4):
+        x, y, z = feet[leg, 0] - hips[leg, 0], feet[leg, 1] - hips[leg, 1], feet[leg, 2] - hips[leg, 2]
+        side = side_offsets[leg]
+        down = -math.sqrt(max(y * y + z * z - side * side, 1e-4))
+        abduction = math.atan2(z, y) - math.atan2(down, side)
+        reach = math.hypot(x, down)
+        scale = min(max(reach, min_reach), max_reach) / reach
+        x, down, reach = x * scale, down * scale, reach * scale
+        bend = (reach * reach - upper_length**2 - lower_length**2) / (2 * upper_length * lower_length)
+        lower = -math.acos(min(max(bend, -1.0), 1.0))
+        inward = math.atan2(lower_length * math.sin(lower), upper_length + lower_length * math.cos(lower))
+        angles[3 * leg] = (abduction + math.pi) % (2 * math.pi) - math.pi
+        angles[3 * leg + 1] = math.atan2(-x, -down) - inward
+        angles[3 * leg + 2] = lower
+    return angles
+
+
+@njit(ROWS(ROWS, ROWS, FLOATS), cache=True, nogil=True, error_model="numpy")
+def trace_trunk(readings: np.ndarray, inertial_to_base: np.ndarray, origin_in_base: np.ndarray) -> np.ndarray:
+    """Motion of the base frame from that of Bullet's inertial frame.
+
+    Args:
+        readings: (k, 13) position and quaternion (x, y, z, w) of the inertial frame, metres, and its linear and angular
+            velocity, m/s and rad/s, all in the world frame.
+        inertial_to_base: (3, 3) rotation; inertial_to_world times this is base_to_world.
+        origin_in_base: (3,) base's origin from the centre of mass, base axes, metres.
+
+    Returns:
+        (k, 18) float64, the track: position, rotation base_to_world, linear velocity of the origin, angular velocity.
+    """
+    track = np.empty((len(readings), TRACK_WIDTH))
+    origin = _vector(origin_in_base, 0)
+    for k in range(len(readings)):
+        reading, row = readings[k], track[k]
+        rotation = row[ROTATION:VELOCITY]
+        _write_rotation(reading[3:7], inertial_to_base, rotation)
+        offset, spin = _turned(rotation, origin), _vector(reading, 10)
+        sweep = _cross(spin, offset)
+        for axis in range(3):
+            row[POSITION + axis] = reading[axis] + offset[axis]
+            row[VELOCITY + axis] = reading[7 + axis] + sweep[axis]
+            row[ANGULAR_VELOCITY + axis] = spin[axis]
+    return track
+
+
+@njit(ROWS(FLOATS, ROWS, FLOATS, FLOATS, float64, float64), cache=True, nogil=True, error_model="numpy")
+def feel(
+    start: np.ndarray, track: np.ndarray, lever: np.ndarray, sensor_to_base: np.ndarray, rate_hz: float, gravity: float
+) -> np.ndarray:
+    """What ideal inertial sensors fixed to the trunk undergo along its track.
+
+    Args:
+        start: (18,) row of the track before its first.
+        track: (k, 18) as `trace_trunk` returns it.
+        lever: (3,) sensor in the base frame, metres.
+        sensor_to_base: (9,) rotation, row by row.
+        rate_hz: rows per second.
+        gravity: m/s².
+
+    Returns:
+        (k, 6) float64: specific force, m/s², and angular velocity, rad/s, in the sensor's axes.
+    """
+    felt = np.empty((len(track), 6))
+    arm = _vector(lever, 0)
+    last = _point_velocity(start, arm)
+    for k in range(len(track)):
+        row = track[k]
+        now = _point_velocity(row, arm)
+        push = (
+            (now[0] - last[0]) * rate_hz,
+            (now[1] - last[1]) * rate_hz,
+            (now[2] - last[2]) * rate_hz + gravity,
+        )
+        rotation = row[ROTATION:VELOCITY]
+        force = _turned_back(sensor_to_base, _turned_back(rotation, push))
+        spin = _turned_back(sensor_to_base, _turned_back(rotation, _vector(row, ANGULAR_VELOCITY)))
+        for axis in range(3):
+            felt[k, axis], felt[k, 3 + axis] = force[axis], spin[axis]
+        last = now
+    return felt
+
+
+@njit(void(ROWS, FLOATS, FLOATS), cache=True, nogil=True, error_model="numpy")
+def digitise(values: np.ndarray, quantum: np.ndarray, limit: np.ndarray) -> None:
+    """Round (k, n) values, in place, to whole steps of quantum (n,), 0 for none, and keep them within ±limit (n,)."""
+    for k in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            value = values[k, i]
+            if quantum[i] > 0.0:
+                value = np.rint(value * (1.0 / quantum[i])) * quantum[i]
+            values[k, i] = max(min(value, limit[i]), -limit[i])

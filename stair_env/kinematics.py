@@ -29,24 +29,31 @@ class LegKinematics:
         """Foot centres from joint angles.
 
         Args:
-            joint_angles: (12,) canonical angles, radians, float64.
+            joint_angles: (12,) canonical angles, radians.
 
         Returns:
             (4, 3) float64, base frame, metres.
         """
-        feet: np.ndarray = forward_legs(joint_angles, self._hips, self._side_offsets, self._links)
+        feet: np.ndarray = forward_legs(
+            np.ascontiguousarray(joint_angles, np.float64), self._hips, self._side_offsets, self._links
+        )
         return feet
 
     def joint_angles(self, feet: np.ndarray) -> np.ndarray:
         """Joint angles that put the feet where asked; a foot out of reach is pulled to the nearest reach.
 
         Args:
-            feet: (4, 3) base frame, metres, float64.
+            feet: (4, 3) base frame, metres.
 
         Returns:
             (12,) float64 canonical angles, radians.
         """
         angles: np.ndarray = inverse_legs(
-            feet, self._hips, self._side_offsets, self._links, self._min_reach, self._max_reach
+            np.ascontiguousarray(feet, np.float64),
+            self._hips,
+            self._side_offsets,
+            self._links,
+            self._min_reach,
+            self._max_reach,
         )
         return angles

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stair_env.stairs import StairSpec
 
@@ -158,10 +157,15 @@ def _beam(start: np.ndarray, end: np.ndarray, radius: float, surface: str) -> Sh
     """Cylinder between two points, both (3,), metres."""
     along = end - start
     length = float(np.linalg.norm(along))
-    rotation, _ = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])
-    middle = (start + end) / 2
-    x, y, z, w = map(float, rotation.as_quat())
-    return Shape("cylinder", vector3(middle), (radius, length / 2, 0.0), (x, y, z, w), surface)
+    orientation = _turn_of_z_onto(vector3(along / length))
+    return Shape("cylinder", vector3((start + end) / 2), (radius, length / 2, 0.0), orientation, surface)
+
+
+def _turn_of_z_onto(direction: Vector3) -> Quaternion:
+    """Smallest rotation that turns the z axis onto a unit vector, which must not be -z."""
+    x, y, z = direction
+    norm = math.sqrt(2.0 + 2.0 * z)
+    return -y / norm, x / norm, 0.0, (1.0 + z) / norm
 
 
 def _handrails(spec: StairSpec) -> list[Shape]:
@@ -185,9 +189,9 @@ def _stringers(spec: StairSpec) -> list[Shape]:
         start, end = np.array([x[0], 0.0, z[0]]), np.array([x[1], 0.0, z[1]])
         along, pitch = end - start, -math.atan2(z[1] - z[0], x[1] - x[0])
         size = (float(np.linalg.norm(along)) / 2, STRINGER_THICKNESS_M / 2, spec.riser_height)
-        qx, qy, qz, qw = map(float, Rotation.from_euler("y", pitch).as_quat())
+        orientation = (0.0, math.sin(pitch / 2), 0.0, math.cos(pitch / 2))
         for side in (1, -1):
             y = side * (spec.flight_width + STRINGER_THICKNESS_M) / 2
             middle = vector3((start + end) / 2 + [0.0, y, -spec.riser_height / 2])
-            shapes.append(Shape("box", middle, size, (qx, qy, qz, qw), "stringer"))
+            shapes.append(Shape("box", middle, size, orientation, "stringer"))
     return shapes

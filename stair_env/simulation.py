@@ -179,11 +179,11 @@ class Simulation:
         self._toes = toes
         dynamics = client.getDynamicsInfo(self.body, -1)
         self._base_mass = float(dynamics[0])
-        self._inertial_position = np.array(dynamics[3])
+        self._inertial_to_link: tuple[Sequence[float], Sequence[float]] = dynamics[3], dynamics[4]
         inertial = np.array(client.getMatrixFromQuaternion(dynamics[4])).reshape(3, 3)
         canonical = np.array(client.getMatrixFromQuaternion(robot.base_orientation)).reshape(3, 3)
         self._inertial_to_canonical = inertial.T @ canonical
-        self._origin_in_base = -canonical.T @ self._inertial_position  # from the centre of mass, base axes, metres
+        self._origin_in_base = -canonical.T @ np.array(dynamics[3])  # from the centre of mass, base axes, metres
 
     def _add_shape(self, shape: Shape, friction: float) -> int:
         client = self.client
@@ -211,16 +211,11 @@ class Simulation:
             joint_angles: (12,) canonical, radians.
             pitch: nose-down angle about the base's y axis, radians.
         """
-        rotation = np.array(self.client.getMatrixFromQuaternion(self.client.getQuaternionFromEuler([0, pitch, yaw])))
-        base_to_world = rotation.reshape(3, 3)
-        link_to_world = (
-            base_to_world @ np.array(self.client.getMatrixFromQuaternion(self.robot.base_orientation)).reshape(3, 3).T
-        )
-        # resetBasePositionAndOrientation takes the inertial frame
-        centre = np.asarray(position) + link_to_world @ self._inertial_position
-        inertial_to_world = base_to_world @ self._inertial_to_canonical.T
-        quaternion = _quaternion_from_matrix(inertial_to_world)
-        self.client.resetBasePositionAndOrientation(self.body, centre, quaternion)
+        heading = pybullet.getQuaternionFromEuler([0, pitch, yaw])
+        link_to_base = pybullet.invertTransform([0, 0, 0], self.robot.base_orientation)
+        link_to_world = pybullet.multiplyTransforms(position, heading, *link_to_base)
+        inertial_to_world = pybullet.multiplyTransforms(*link_to_world, *self._inertial_to_link)
+        self.client.resetBasePositionAndOrientation(self.body, *inertial_to_world)  # it takes the inertial frame
         self.client.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0])
         for joint, angle in zip(self._joints, self._to_urdf(joint_angles)):
             self.client.resetJointState(self.body, joint, angle, 0.0)
@@ -312,9 +307,3 @@ class Simulation:
         """Keep Bullet's window on the robot (GUI only)."""
         if self._gui:
             self.client.resetDebugVisualizerCamera(1.8, yaw_deg, -20.0, list(position))
-
-
-def _quaternion_from_matrix(matrix: np.ndarray) -> Any:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(matrix).as_quat()
