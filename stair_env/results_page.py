@@ -14,6 +14,7 @@ from typing import Any
 from stair_env.provenance import atomic_path
 
 TABLE_KEYS = ("rows", "cells")
+NOTES_KEY = "notes"  # sentences about a table
 HIDDEN_COLUMNS = ("terminations", "num_steps")
 HEADER = """# Results
 
@@ -53,6 +54,9 @@ def describe_file(path: Path) -> str:
     if isinstance(content.get("overall"), dict):
         parts.append(markdown_table([{"": name, **values} for name, values in content["overall"].items()]))
     parts.extend(markdown_table(content[key]) for key in TABLE_KEYS if isinstance(content.get(key), list))
+    notes = content.get(NOTES_KEY)
+    if isinstance(notes, list) and notes:
+        parts.append("".join(f"- {note}\n" for note in notes))
     known = {"overall", *TABLE_KEYS, "seed", "commit", "date", "machine"}
     single = [(name, value) for name, value in content.items() if name not in known and not isinstance(value, list)]
     if single:

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from perception.backends import check_batch
+from perception.backends import as_grids, check_batch
+from perception.folding import folded
 from perception.labels import GRID_COLUMNS, GRID_ROWS, encode_grid
 from perception.losses import LOCATION_LOSSES, X_CHANNELS, Y_CHANNELS, LossWeights
 from perception.network import (
@@ -31,6 +32,7 @@ from perception.network import (
     Head,
 )
 from perception.preprocess import colour_input
+from perception.weights_io import DENSE_UP_TO_WIDTH
 from stair_env.stairs import check_choice
 
 BACKGROUND, CONVEX_CELL, CONCAVE_CELL = 0, 1, 2  # classes of a cell
@@ -175,19 +177,22 @@ class StairNet(nn.Module):
 class StairNetBackend:
     """StairNet behind numpy, in the place of StairNetV2 (`perception.backends.Backend`); depth is not looked at.
 
+    It runs as `perception.backends.TorchBackend` runs StairNetV2: batch norm folded, channels-last.
+
     Args:
-        network: is put into evaluation mode.
+        network: is copied.
     """
 
     def __init__(self, network: StairNet) -> None:
-        self._network = network.eval()
+        plain = folded(network, dense=network.width <= DENSE_UP_TO_WIDTH)
+        self._network = plain.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Detect on a batch; see `perception.backends.Backend`."""
         check_batch(rgb, depth_m)
         with torch.inference_mode():
-            cls, loc = self._network(torch.from_numpy(colour_input(rgb)))
-        return cls[:, 0].numpy(), np.ascontiguousarray(loc.permute(0, 2, 3, 1).numpy())
+            cls, loc = self._network(torch.from_numpy(colour_input(rgb)).to(memory_format=torch.channels_last))
+        return as_grids(cls.numpy(), loc.numpy())
 
 
 def encode_targets(

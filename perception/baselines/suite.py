@@ -13,7 +13,7 @@ import numpy as np
 from perception.baselines.base import LineBackend
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.baselines.tuning import TuningResult, tune
-from perception.dataset import StairDataset
+from perception.dataset import Sample, StairDataset
 from perception.evaluation import as_rows, evaluate_detector
 
 MODEL_NAMES = {"colour": "Gabor + Canny + Hough", "depth": "Gabor + Canny + Hough (depth)"}
@@ -71,11 +71,17 @@ def evaluate_classical(
 def _tuned(
     validation: StairDataset, seed: int, tune_frames: int, trials: int, image: str, progress: Progress
 ) -> TuningResult:
-    rng = np.random.default_rng(seed)
-    chosen = np.sort(rng.choice(len(validation), size=min(tune_frames, len(validation)), replace=False))
-    frames = [validation[int(index)] for index in chosen]
+    frames = validation_sample(validation, seed, tune_frames)
     bar = functools.partial(progress, description=f"tuning on {image}")
-    return tune(frames, rng, trials, image=image, progress=bar)
+    return tune(frames, np.random.default_rng(seed), trials, image=image, progress=bar)
+
+
+def validation_sample(validation: StairDataset, seed: int, count: int) -> list[Sample]:
+    """Random validation frames to tune on, at most all, in the set's order."""
+    chosen = np.random.default_rng([seed, count]).choice(
+        len(validation), size=min(count, len(validation)), replace=False
+    )
+    return [validation[int(index)] for index in np.sort(chosen)]
 
 
 def cpu_milliseconds_per_frame(parameters: ClassicalParameters, frames: StairDataset) -> float:

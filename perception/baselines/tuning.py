@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from perception.baselines.base import score_lines
+from perception.baselines.base import LineDetector, score_lines
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.dataset import Sample
-from perception.labels import LabelGrid, encode_grid
+from perception.labels import encode_grid
 from perception.metrics import DetectionCounts
 
 HEAT_SHARE = 6  # the first round sees every sixth frame, and every sixth candidate goes on to the second
@@ -70,6 +70,7 @@ def tune(
     trials: int,
     *,
     image: str = "colour",
+    make: Callable[[ClassicalParameters], LineDetector] = ClassicalDetector,
     progress: Callable[[Iterable[ClassicalParameters]], Iterable[ClassicalParameters]] = iter,
 ) -> TuningResult:
     """Find the parameters with the largest IOU.
@@ -81,6 +82,7 @@ def tune(
         rng: source of the candidates.
         trials: number of candidates, at least 1.
         image: "colour" or "depth".
+        make: the detector with a candidate's parameters.
         progress: wraps the iteration over the first round, to show a bar.
 
     Raises:
@@ -91,12 +93,9 @@ def tune(
     candidates = [ClassicalParameters(image=image), *(draw_parameters(rng, image) for _ in range(trials - 1))]
     grids = [encode_grid(frame.lines) for frame in frames]
     heat = slice(None, None, HEAT_SHARE)
-    ranked = sorted((-_count(c, frames[heat], grids[heat]).iou, i) for i, c in enumerate(progress(candidates)))
+    first = (score_lines(make(c), frames[heat], grids[heat]).iou for c in progress(candidates))
+    ranked = sorted((-iou, i) for i, iou in enumerate(first))
     finalists = [candidates[i] for _, i in ranked[: -(-trials // HEAT_SHARE)]]
-    scores = [_count(candidate, frames, grids) for candidate in finalists]
+    scores = [score_lines(make(candidate), frames, grids) for candidate in finalists]
     best = max(range(len(finalists)), key=lambda i: scores[i].iou)
     return TuningResult(finalists[best], scores[best], trials)
-
-
-def _count(parameters: ClassicalParameters, frames: Sequence[Sample], grids: Sequence[LabelGrid]) -> DetectionCounts:
-    return score_lines(ClassicalDetector(parameters), frames, grids)

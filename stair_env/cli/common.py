@@ -23,6 +23,7 @@ __all__ = [
     "progress",
     "progress_bar",
     "provenance",
+    "seed_list",
     "seed_value",
     "write_json",
 ]
@@ -44,6 +45,11 @@ def seed_value(text: str) -> int:
 def positive_int(text: str) -> int:
     """Parse a whole number >= 1."""
     return _whole_number(text, minimum=1)
+
+
+def seed_list(text: str) -> tuple[int, ...]:
+    """Parse comma-separated seeds; repeats are dropped."""
+    return tuple(dict.fromkeys(seed_value(item) for item in text.split(",")))
 
 
 def _whole_number(text: str, minimum: int) -> int:

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
+from stair_env.cli.common import (
+    add_common_arguments,
+    choice_list,
+    limit_threads,
+    positive_int,
+    progress,
+    seed_list,
+    write_json,
+)
 
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
 BACKEND_NAMES = ("onnx", "torch")
-SUITES = ("stairnetv2", "classical")
+SUITES = ("stairnetv2", "classical", "paper")
 CLASSICAL_IMAGES = ("colour", "depth")
 
 
@@ -23,7 +32,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
         "rendered first. --suite classical scores Gabor + Canny + Hough on the same frames instead, "
-        "with parameters found by a random search on validation frames.",
+        "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
+        "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
+        "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
+        "table3.json and table6.json into --results.",
     )
     parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
@@ -39,8 +51,17 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--weights", type=Path, metavar="FILE", help="safetensors or onnx file instead of the shipped ones"
     )
     parser.add_argument("--backend", choices=BACKEND_NAMES, default="onnx", help="what runs the network (%(default)s)")
-    parser.add_argument("--workers", type=positive_int, default=1, help="processes that render (%(default)s)")
-    tuning = parser.add_argument_group("classical suite")
+    parser.add_argument(
+        "--workers", type=positive_int, default=1, help="processes that render or read frames (%(default)s)"
+    )
+    paper = parser.add_argument_group("paper suite")
+    paper.add_argument("--runs", type=Path, default=Path("runs/paper"), help="folder of the trainings (%(default)s)")
+    paper.add_argument("--results", type=Path, default=Path("results"), help="folder for the tables (%(default)s)")
+    paper.add_argument("--epochs", type=positive_int, help="of every training (10: about 8 core-minutes each on a CPU)")
+    paper.add_argument("--frames-per-epoch", type=positive_int, help="of every training (600)")
+    paper.add_argument("--seeds", type=seed_list, default=(0,), help="of the trainings, comma-separated (0)")
+    paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores)")
+    tuning = parser.add_argument_group("classical and paper suites")
     tuning.add_argument(
         "--images",
         type=choice_list(CLASSICAL_IMAGES),
@@ -56,7 +77,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, and print the table."""
-    return _run_classical(args) if args.suite == "classical" else _run_network(args)
+    suites = {"stairnetv2": _run_network, "classical": _run_classical, "paper": _run_paper}
+    return suites[args.suite](args)
 
 
 def _run_network(args: argparse.Namespace) -> int:
@@ -97,6 +119,39 @@ def _run_classical(args: argparse.Namespace) -> int:
     return 0
 
 
+def _run_paper(args: argparse.Namespace) -> int:
+    if args.data is None:
+        raise ValueError(
+            "--suite paper trains: --data must name a set with train, val and test (see stair-env dataset)"
+        )
+    if len(args.width) != 1:
+        raise ValueError(f"--suite paper compares networks of one width, not of {', '.join(args.width)}")
+    if args.threads:
+        limit_threads(args.threads)
+    import torch
+
+    from perception.baselines.paper_suite import SuitePlan, run_suite
+    from perception.baselines.runs import SUITE_PRESET
+
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    chosen = {"epochs": args.epochs, "frames_per_epoch": args.frames_per_epoch}
+    preset = dataclasses.replace(SUITE_PRESET, **{name: value for name, value in chosen.items() if value})
+    workers = args.workers if args.workers > 1 else 0
+    plan = SuitePlan(
+        args.data, args.runs, preset, args.seeds, float(args.width[0]), args.tune_frames, args.trials, workers
+    )
+    tables = run_suite(plan, progress=progress)
+    for name, report in tables.items():
+        print(f"\n{name}")
+        _print_table(report["rows"])
+        print("\n".join(f"  {note}" for note in report["notes"]))
+        write_json(args.results / f"{name}.json", report, seed=args.seed)
+    if args.json:
+        write_json(args.json, tables, seed=args.seed)
+    return 0
+
+
 def _test_root(args: argparse.Namespace) -> Path:
     return args.data if args.data is not None else _rendered(args, args.render_to, {"test": args.frames})
 
@@ -133,11 +188,14 @@ def _rendered(args: argparse.Namespace, root: Path, counts: dict[str, int]) -> P
 
 
 def _print_table(rows: list[dict[str, Any]]) -> None:
-    print(f"{'model':<32} {'width':>6} {'split':<14} {'accuracy':>9} {'recall':>8} {'IOU':>8} {'frames':>7}")
+    print(f"{'model':<37} {'width':>6} {'split':<14} {'accuracy':>9} {'recall':>8} {'IOU':>8} {'frames':>7}")
     for row in rows:
         found = f"   something found in {row['false_frames']} % of them" if "false_frames" in row else ""
+        if "paper_iou" in row:
+            found = "   paper " + " ".join(f"{row[f'paper_{name}']:.2f}" for name in ("accuracy", "recall", "iou"))
+            found += f"   {row['cpu_ms']:.1f} ms"
         width = "" if row["width"] is None else f"{row['width']:g}"
         print(
-            f"{row['model']:<32} {width:>6} {row['split']:<14} {row['accuracy']:>9.2f} {row['recall']:>8.2f} "
+            f"{row['model']:<37} {width:>6} {row['split']:<14} {row['accuracy']:>9.2f} {row['recall']:>8.2f} "
             f"{row['iou']:>8.2f} {row['frames']:>7}{found}"
         )
