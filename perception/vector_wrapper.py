@@ -11,9 +11,9 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from perception.estimator import StairEstimator
-from perception.wrapper import NEEDED_KEYS, StairPerception, perceived_info
+from perception.wrapper import NEEDED_KEYS, StairPerception, perceived_info, perceived_observation, perceived_space
 from stair_env.camera.intrinsics import Intrinsics
-from stair_env.observation import StairBlock, stair_space
+from stair_env.observation import StairBlock
 from stair_env.robots import RobotSpec
 
 
@@ -55,7 +55,7 @@ class PerceptionVectorWrapper(VectorWrapper):
             raise ValueError(f"{env} lacks {', '.join(missing)} in its observations")
         if not hasattr(env, "provide_stairs") and not hasattr(env, "envs"):
             raise ValueError(f"{env} can hand no stair block to its environments: it needs provide_stairs(blocks)")
-        single: spaces.Space[Any] = spaces.Dict({"proprio": parts["proprio"], "stair": stair_space()})
+        single = perceived_space(parts)
         self.single_observation_space = single
         self.observation_space = batch_space(single, env.num_envs)
         self.estimator = estimator if estimator is not None else StairEstimator()
@@ -95,7 +95,7 @@ class PerceptionVectorWrapper(VectorWrapper):
             perceived_info(block, perception.estimate, int(frames[i]))
             for i, (block, perception) in enumerate(zip(blocks, self.perceptions))
         ]
-        return {"proprio": observations["proprio"], "stair": arrays}
+        return perceived_observation(observations, arrays)
 
     def _look(
         self, new: list[int], observations: dict[str, np.ndarray], frames: np.ndarray, captured: np.ndarray

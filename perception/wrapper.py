@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
@@ -25,7 +26,8 @@ from stair_env.kinematics import LegKinematics
 from stair_env.observation import PROPRIO_SLICES, StairBlock, stair_space
 from stair_env.robots import RobotSpec
 
-NEEDED_KEYS = ("proprio", "imu", "rgb", "depth")
+CONSUMED_KEYS = ("imu", "rgb", "depth")
+NEEDED_KEYS = ("proprio", *CONSUMED_KEYS)
 BODY_MEMORY = 96  # control steps: longer than the camera's latency
 
 
@@ -127,8 +129,7 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
             raise ValueError(
                 f"PerceptionWrapper needs observations with {', '.join(NEEDED_KEYS)}; {env} lacks {', '.join(missing)}"
             )
-        own_space: spaces.Space[Any] = spaces.Dict({"proprio": parts["proprio"], "stair": stair_space()})
-        self.observation_space = own_space
+        self.observation_space = perceived_space(parts)
         self.estimator = estimator if estimator is not None else StairEstimator()
         base: Any = env.unwrapped
         self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)
@@ -159,7 +160,19 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
         base: Any = self.env.unwrapped
         base.provide_stair(block)
         info["perceived"] = perceived_info(block, perception.estimate, camera["frame"])
-        return {"proprio": observation["proprio"], "stair": block.as_array()}
+        return perceived_observation(observation, block.as_array())
+
+
+def perceived_space(parts: Mapping[str, spaces.Space[Any]]) -> spaces.Space[Any]:
+    """Space of what is left of an RGBD observation: the sensors that perception reads are gone, the block is there."""
+    kept = {key: space for key, space in parts.items() if key not in CONSUMED_KEYS}
+    return spaces.Dict({**kept, "stair": stair_space()})
+
+
+def perceived_observation(observation: Mapping[str, np.ndarray], block: np.ndarray) -> dict[str, np.ndarray]:
+    """The observation that belongs to `perceived_space`; a leading batch dimension is kept."""
+    kept = {key: value for key, value in observation.items() if key not in CONSUMED_KEYS}
+    return {**kept, "stair": block}
 
 
 def perceived_info(block: StairBlock, estimate: StairEstimate, frame: int) -> dict[str, Any]:

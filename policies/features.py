@@ -16,7 +16,7 @@ from stable_baselines3.common.preprocessing import get_flattened_obs_dim
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac.policies import MultiInputPolicy as SacMultiInputPolicy
 
-from stair_env.observation import STAIR_FIELDS
+from stair_env.observation import PRIVILEGED_KEY, STAIR_FIELDS
 
 STAIR_KEY = "stair"
 
@@ -39,6 +39,9 @@ class StairFeatures(BaseFeaturesExtractor):
     """Concatenates a Dict observation into one vector (B, n); the fields of `stair` are centred and scaled.
 
     An invalid block (valid = 0) stays all zero, which is not what scaling zeros would give.
+
+    Attributes:
+        hidden: keys in whose place zeros are read.
     """
 
     middle: torch.Tensor  # (8,)
@@ -50,13 +53,18 @@ class StairFeatures(BaseFeaturesExtractor):
         super().__init__(observation_space, sum(map(get_flattened_obs_dim, observation_space.spaces.values())))
         scale = np.array([STAIR_SCALE[name] for name in STAIR_FIELDS], np.float32)
         self.keys = tuple(observation_space.spaces)
+        self.hidden: tuple[str, ...] = ()
         self.register_buffer("middle", torch.as_tensor(scale[:, 0]), persistent=False)
         self.register_buffer("half_span", torch.as_tensor(scale[:, 1]), persistent=False)
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Dict of (B, ...) tensors to (B, features_dim)."""
-        parts = [self._scaled(observations[key]) if key == STAIR_KEY else observations[key] for key in self.keys]
-        return torch.cat([part.flatten(1) for part in parts], dim=1)
+        return torch.cat([self._read(key, observations[key]).flatten(1) for key in self.keys], dim=1)
+
+    def _read(self, key: str, values: torch.Tensor) -> torch.Tensor:
+        if key in self.hidden:
+            return torch.zeros_like(values)
+        return self._scaled(values) if key == STAIR_KEY else values
 
     def _scaled(self, stair: torch.Tensor) -> torch.Tensor:
         """(B, 8) stair block to scaled fields, zero where the block is invalid."""
@@ -65,11 +73,23 @@ class StairFeatures(BaseFeaturesExtractor):
 
 
 class StairActorCriticPolicy(MultiInputActorCriticPolicy):
-    """PPO's multi-input policy reading through StairFeatures."""
+    """PPO's multi-input policy reading through StairFeatures; a privileged block is for its critic alone.
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    Raises:
+        ValueError: there is a privileged block and features_extractor_class is another that cannot hide it.
+    """
+
+    def __init__(self, observation_space: gym.spaces.Dict, *args: Any, **kwargs: Any) -> None:
         kwargs.setdefault("features_extractor_class", StairFeatures)
-        super().__init__(*args, **kwargs)
+        asymmetric = PRIVILEGED_KEY in observation_space.spaces
+        if asymmetric:
+            kwargs["share_features_extractor"] = False
+        super().__init__(observation_space, *args, **kwargs)
+        if asymmetric:
+            actor_features = self.pi_features_extractor
+            if not isinstance(actor_features, StairFeatures):
+                raise ValueError("only StairFeatures can hide the privileged block from the actor")
+            actor_features.hidden = (PRIVILEGED_KEY,)
 
 
 class StairSacPolicy(SacMultiInputPolicy):

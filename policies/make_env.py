@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 import stair_env  # noqa: F401  (registers the ids, also in a worker process)
+from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
@@ -19,7 +20,7 @@ VEC_KINDS = ("subproc", "dummy", "workers")
 CLIMB_ID = "stair_env/StairClimb-v0"
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
 ENV_IDS = (CLIMB_ID, PERCEPTION_ID)
-NORMALISED_KEYS = ("proprio",)
+NORMALISED_KEYS = ("proprio", PRIVILEGED_KEY)
 _PRELOADED = ["stable_baselines3.common.vec_env.subproc_vec_env", "policies.make_env"]
 
 
@@ -121,7 +122,7 @@ def _prepared_start_method() -> str:
 
 
 def normalise(venv: VecEnv, *, gamma: float, options: Mapping[str, Any] | None = None) -> VecNormalize:
-    """Wrap in VecNormalize; of a Dict observation only the proprioception is normalised.
+    """Wrap in VecNormalize; of a Dict observation the stair block alone is left as it is.
 
     Args:
         venv: environments.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any
 
@@ -26,10 +25,11 @@ from stair_env.imu import Imu, ImuConfig
 from stair_env.judgement import FAILURES, Judge
 from stair_env.kinematics import LegKinematics
 from stair_env.motion import MotionRecorder
-from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
+from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.odometry import LegOdometry
 from stair_env.onlooker import Onlooker
-from stair_env.rewards import RewardWeights, StepOutcome, reward_terms, riser_hits
+from stair_env.privileged import Truth, pack_privileged, privileged_space
+from stair_env.rewards import StepOutcome, read_weights, reward_terms, riser_hits
 from stair_env.robots import NUM_JOINTS, get_robot
 from stair_env.scene import Shape, build_stair_shapes
 from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
@@ -45,7 +45,8 @@ RENDER_MODES = ("human", "rgb_array", "depth_array")
 class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
     """A legged robot climbs a staircase that it knows from the stair block of its observation.
 
-    Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`).
+    Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`), with
+    privileged=True also `privileged` (`stair_env.privileged.PRIVILEGED_FIELDS`).
     Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.gait.GaitAction`), or with
     actuation="joint" twelve joint offsets from standing.
 
@@ -65,6 +66,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         uneven: largest deviation of single risers and treads, metres.
         flight_width: metres.
         reward_weights: fields of `RewardWeights` to change.
+        privileged: add what only the simulator knows to the observation, for a critic or a teacher.
 
     Raises:
         SpecError: (a ValueError) an argument is wrong; the message names it, its value and the choices.
@@ -91,12 +93,15 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         uneven: float = 0.0,
         flight_width: float = 1.2,
         reward_weights: dict[str, float] | None = None,
+        privileged: bool = False,
     ) -> None:
         self.robot = get_robot(robot)
         self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
         check_choice("lighting", lighting, LIGHTINGS)
         check_choice("actuation", actuation, ACTUATIONS)
         check_choice("spawn", spawn, SPAWNS)
+        if not isinstance(privileged, bool):
+            raise SpecError(f"privileged={privileged!r} must be True or False")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
@@ -105,10 +110,12 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.randomization = read_randomization(randomization)
         self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
         self.source = make_source(stair_source)
-        self.weights = _read_weights(reward_weights)
+        self.weights = read_weights(reward_weights)
         self.action_size = ACTION_SIZE if actuation == "gait" else NUM_JOINTS
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_size,), np.float32)
-        self.observation_space = spaces.Dict({"proprio": proprio_space(self.action_size), "stair": stair_space()})
+        self.privileged = privileged
+        parts: dict[str, spaces.Space[Any]] = {"proprio": proprio_space(self.action_size), "stair": stair_space()}
+        self.observation_space = spaces.Dict({**parts, PRIVILEGED_KEY: privileged_space()} if privileged else parts)
         self._unreported = False  # whether an episode is under way that the curriculum has not heard of
         self._sim: Simulation | None = None
         self._onlooker: Onlooker | None = None
@@ -142,15 +149,12 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if {"x", "y", "yaw"} & set(options):
             defaults = {"x": spawn.position[0], "y": spawn.position[1], "yaw": spawn.yaw}
             spawn = standing_at(self.stairs, self.robot, **{k: float(options.get(k, v)) for k, v in defaults.items()})
-        draws = self.randomization
-        friction = float(self.np_random.uniform(*draws.friction))
-        payload = float(self.np_random.uniform(*draws.payload_kg))
-        self._strength = float(self.np_random.uniform(*draws.motor_strength))
+        self._body = self.randomization.draw(self.np_random)
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
         seeds = self.np_random.integers(0, 2**63, size=4)
         source_rng, imu_rng, self._body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
         shapes = self._world_shapes(self.stairs, camera_rng)
-        self._start(spawn, shapes, friction, payload, imu_rng)
+        self._start(spawn, shapes, imu_rng)
         self.source.reset(self.stairs, source_rng)
         self._begin_sensors(camera_rng)
         self._observe_stairs()
@@ -165,15 +169,13 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
             return drawn
         return given if isinstance(given, StairSpec) else StairSpec.from_dict(given)
 
-    def _start(
-        self, spawn: Spawn, shapes: tuple[Shape, ...], friction: float, payload: float, imu_rng: np.random.Generator
-    ) -> None:
+    def _start(self, spawn: Spawn, shapes: tuple[Shape, ...], imu_rng: np.random.Generator) -> None:
         """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
         if self._sim is None:
             self._sim = self._open_simulation()
         sim = self._sim
-        sim.build(shapes, friction)
-        sim.set_payload(payload)
+        sim.build(shapes, self._body.friction)
+        sim.set_payload(self._body.payload_kg)
         joints = self._kinematics.joint_angles(spawn.feet_in_base)
         sim.place_robot(spawn.position, spawn.yaw, joints, spawn.pitch)
         for _ in range(SETTLE_STEPS * SUBSTEPS):
@@ -261,7 +263,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         else:
             targets = self._standing_joints + JOINT_ACTION_RAD * action
         late = self.randomization.command_latency
-        sim.command_joints(self._targets if late and self._body_rng.random() < late else targets, self._strength)
+        command = self._targets if late and self._body_rng.random() < late else targets
+        sim.command_joints(command, self._body.motor_strength)
         self._targets = targets
         if self.randomization.push_interval_s and self.time_s >= self._next_push_s:
             sim.push(np.append(self._body_rng.uniform(-1, 1, 2) * self.randomization.push_speed, 0.0))
@@ -337,7 +340,16 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         )
 
     def _observation(self) -> dict[str, np.ndarray]:
-        return {"proprio": self._proprio(), "stair": self._block.as_array()}
+        return {"proprio": self._proprio(), "stair": self._block.as_array(), **self._privileged()}
+
+    def _privileged(self) -> dict[str, np.ndarray]:
+        """The privileged part of the observation, empty unless asked for."""
+        if not self.privileged:
+            return {}
+        stair = true_block(self.stairs, self.profile, self._hips)
+        radius = self.robot.foot_radius
+        truth = Truth(stair, self.profile, self._state, self._contacts, self._feet, radius, self._body)
+        return {PRIVILEGED_KEY: pack_privileged(truth)}
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
         truth = true_block(self.stairs, self.profile, self._hips)
@@ -384,12 +396,3 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if self._sim is not None:
             self._sim.close()
             self._sim = None
-
-
-def _read_weights(changes: dict[str, float] | None) -> RewardWeights:
-    names = tuple(field.name for field in dataclasses.fields(RewardWeights))
-    for name, value in (changes or {}).items():
-        check_choice("reward_weights field", name, names)
-        if not np.isfinite(value):
-            raise SpecError(f"reward_weights[{name!r}]={value!r} must be finite")
-    return RewardWeights(**(changes or {}))

@@ -6,7 +6,7 @@ import dataclasses
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,20 @@ ENV_DIRECTIONS = ("up", "down", "both")
 LIGHTINGS = ("day", "night", "random")
 SPAWNS = ("floor", "anywhere")
 Range = tuple[float, float]
+
+
+class Body(NamedTuple):
+    """What is drawn about the robot's body and the ground for one episode.
+
+    Attributes:
+        friction: of the ground against rubber feet.
+        payload_kg: added to the trunk.
+        motor_strength: factor on the largest torques.
+    """
+
+    friction: float
+    payload_kg: float
+    motor_strength: float
 
 
 @dataclass(frozen=True)
@@ -59,6 +73,10 @@ class Randomization:
         check_range("randomization.push_interval_s", self.push_interval_s, 0.0, 1e4)
         check_range("randomization.command_latency", self.command_latency, 0.0, 1.0)
         check_range("randomization.camera_tilt_rad", self.camera_tilt_rad, 0.0, 0.2)
+
+    def draw(self, rng: np.random.Generator) -> Body:
+        """One episode's body."""
+        return Body(*(float(rng.uniform(*span)) for span in (self.friction, self.payload_kg, self.motor_strength)))
 
 
 NOMINAL = Randomization((0.9, 0.9), (0.0, 0.0), (1.0, 1.0), 0.0, 0.0, 0.0, 0.0)

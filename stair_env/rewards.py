@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from stair_env.simulation import BaseState, FootContacts
-from stair_env.stairs import StairProfile
+from stair_env.stairs import SpecError, StairProfile, check_choice
 
 WANTED_SPEED = 0.35  # m/s; going faster earns nothing
 NOSING_DANGER_M = 0.03
@@ -34,6 +35,19 @@ class RewardWeights:
 
 
 REWARD_TERMS = tuple(field.name for field in fields(RewardWeights))
+
+
+def read_weights(changes: Mapping[str, float] | None) -> RewardWeights:
+    """The default weights with changes.
+
+    Raises:
+        SpecError: a name is unknown or a value not finite.
+    """
+    for name, value in (changes or {}).items():
+        check_choice("reward_weights field", name, REWARD_TERMS)
+        if not np.isfinite(value):
+            raise SpecError(f"reward_weights[{name!r}]={value!r} must be finite")
+    return RewardWeights(**(changes or {}))
 
 
 class StepOutcome(NamedTuple):

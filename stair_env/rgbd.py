@@ -33,7 +33,8 @@ class StairClimbRgbdEnv(StairClimbEnv):
         `imu`: (5, 6) float32, accelerometer (m/s²) and gyro (rad/s) in the camera's axes, the five samples since the
             last control step, oldest first;
         `rgb`: (H, W, 3) uint8, the newest frame that has arrived;
-        `depth`: (H, W) float32 metres, aligned to colour, 0 = no reading.
+        `depth`: (H, W) float32 metres, aligned to colour, 0 = no reading;
+        `privileged`: as in `StairClimbEnv`, where asked for.
     `info["camera"]` says when the frame was captured. The gait walks blind until somebody calls `provide_stair`.
 
     Args:
@@ -48,9 +49,10 @@ class StairClimbRgbdEnv(StairClimbEnv):
         self.camera_intrinsics: Intrinsics = self.camera_config.intrinsics
         height, width = self.camera_intrinsics.height, self.camera_intrinsics.width
         bound = np.tile(IMU_BOUND, (SUBSTEPS, 1))
+        inherited = {key: space for key, space in self.observation_space.items() if key != "stair"}
         self.observation_space = spaces.Dict(
             {
-                "proprio": self.observation_space["proprio"],
+                **inherited,
                 "imu": spaces.Box(-bound, bound, dtype=np.float32),
                 "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
                 "depth": spaces.Box(0.0, FAR_M, (height, width), np.float32),
@@ -106,6 +108,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
             "imu": self._imu_samples.copy(),
             "rgb": self._reading.rgb.copy(),
             "depth": np.clip(self._reading.depth_m, 0.0, FAR_M),
+            **self._privileged(),
         }
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:

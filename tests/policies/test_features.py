@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from policies.features import CLIP, STAIR_SCALE, StairFeatures
+from policies.features import CLIP, STAIR_SCALE, StairActorCriticPolicy, StairFeatures
 from stair_env.observation import STAIR_FIELDS, STAIR_HIGH, STAIR_LOW, stair_space
 
 SPACE = gym.spaces.Dict({"proprio": gym.spaces.Box(-1, 1, (4,)), "stair": stair_space()})
@@ -40,3 +40,14 @@ def test_an_invalid_block_is_all_zero() -> None:
 def test_other_spaces_are_refused() -> None:
     with pytest.raises(ValueError, match="Dict"):
         StairFeatures(gym.spaces.Box(-1, 1, (3,)))  # type: ignore[arg-type]
+
+
+def test_a_privileged_block_reaches_the_critic_and_not_the_actor() -> None:
+    space = gym.spaces.Dict({**SPACE.spaces, "privileged": gym.spaces.Box(-1, 1, (3,))})
+    policy = StairActorCriticPolicy(space, gym.spaces.Box(-1, 1, (2,)), lambda _: 1e-3)
+    torch.manual_seed(0)
+    batch = {key: torch.as_tensor(part.sample())[None] for key, part in space.spaces.items()}
+    other = {**batch, "privileged": batch["privileged"] + 0.5}
+    assert torch.equal(policy.get_distribution(batch).mode(), policy.get_distribution(other).mode())
+    assert torch.equal(policy(batch, deterministic=True)[0], policy(other, deterministic=True)[0])
+    assert not torch.equal(policy.predict_values(batch), policy.predict_values(other))
