@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import functools
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from perception.backends import Backend, TorchBackend
-from perception.baselines.base import LineBackend, LineDetector
+from perception.baselines.base import GridDetector, LineBackend, LineDetector
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
-from perception.baselines.paper_tables import PAPER_TABLES, table_notes, table_rows
+from perception.baselines.paper_figure import compare, exemplary_frames
+from perception.baselines.paper_tables import PAPER_TABLES, Scores, table_notes, table_rows
 from perception.baselines.regions import SCORES, RegionScore, RememberedRegions, choose_least_score
 from perception.baselines.roi import RegionFinder, RoiClassicalDetector
 from perception.baselines.roi_network import RoiNetwork
@@ -24,10 +26,13 @@ from perception.baselines.suite import Progress, validation_sample
 from perception.baselines.tuning import TuningResult, tune
 from perception.dataset import Sample, StairDataset
 from perception.evaluation import Tally, evaluate_detector
+from perception.metrics import DetectionCounts
 from perception.network import StairNetV2
 from perception.training import TrainingPreset
+from stair_env.provenance import atomic_path
 
 TIMED_FRAMES = 20
+SCORES_FILE = "test_scores.json"
 REMARK = (
     "Learned rows: width {width:g}, from scratch, {epochs} epochs of {frames} frames (the first {small} at half size), "
     "equal in frames, order, schedule and augmentation. The paper trained 200 epochs of 2388 frames and scored its own "
@@ -82,102 +87,113 @@ class SuitePlan:
         return Run(row, seed, self.width, self.preset, self.data, self.runs)
 
 
-@dataclass
-class Measured:
-    """What the tables are made of.
-
-    Attributes:
-        scores: row -> per seed: split -> counts.
-        timed: row -> detector of one image pair, of the first seed.
-        tuning: what the searches found.
-    """
-
-    scores: dict[str, list[Mapping[str, Tally]]] = field(default_factory=dict)
-    timed: dict[str, TimedDetector] = field(default_factory=dict)
-    tuning: dict[str, Any] = field(default_factory=dict)
-
-    def add(self, row: str, scores: Mapping[str, Tally], detector: TimedDetector) -> None:
-        """Add a seed of a row."""
-        self.scores.setdefault(row, []).append(scores)
-        self.timed.setdefault(row, detector)
-
-
-def run_suite(plan: SuitePlan, *, progress: Progress, training_bar: bool = True) -> dict[str, dict[str, Any]]:
-    """Train, tune, score.
+class PaperSuite:
+    """Trains, tunes and scores the rows of tables 2, 3 and 6.
 
     Args:
         plan: what to work on.
         progress: wraps iterations; takes `description` and, for generators, `total`.
-        training_bar: whether the trainer shows its own bar.
-
-    Returns:
-        "table2", "table3", "table6" -> JSON-able: rows, notes, and for table 6 what the searches found.
 
     Raises:
-        RunError: the folder holds runs with other settings. DatasetError: the set is incomplete.
+        DatasetError: the set is incomplete.
     """
-    test, validation = StairDataset(plan.data, "test"), StairDataset(plan.data, "val")
-    runs = plan.all_runs()
-    for _ in progress(
-        train_missing(runs, workers=plan.workers, progress=training_bar), total=len(runs), description="training"
-    ):
-        pass
-    measured = Measured()
-    score = functools.partial(_score, measured, test, progress)
-    frames = validation_sample(validation, plan.seeds[0], plan.tune_frames)
-    _measure_classical(plan, frames, measured, score, progress)
-    for seed in plan.seeds:
-        _measure_networks(plan, seed, frames, measured, score, progress)
-    cpu_ms = interleaved_cpu_ms(measured.timed, [test[i] for i in range(min(TIMED_FRAMES, len(test)))])
-    return {f"table{table}": _report(table, plan, measured, cpu_ms) for table in PAPER_TABLES}
 
+    def __init__(self, plan: SuitePlan, progress: Progress) -> None:
+        self.plan, self._progress = plan, progress
+        self._test = StairDataset(plan.data, "test")
+        validation = StairDataset(plan.data, "val")
+        self._tuning_frames = validation_sample(validation, plan.seeds[0], plan.tune_frames)
+        self.scores: dict[str, list[Mapping[str, Tally]]] = {}  # row -> per seed: split -> counts
+        self.detectors: dict[str, LineDetector] = {}  # row -> detector of the first seed
+        self._timed: dict[str, TimedDetector] = {}
+        self.tuning: dict[str, Any] = {}  # what the searches found
 
-Score = Callable[[str, Backend, TimedDetector, str], None]
+    def train(self, *, bar: bool = True) -> None:
+        """Train what is missing; goes on where it was killed.
 
+        Args:
+            bar: whether the trainer shows its own bar.
 
-def _score(
-    measured: Measured,
-    test: StairDataset,
-    progress: Progress,
-    row: str,
-    backend: Backend,
-    timed: TimedDetector,
-    name: str,
-) -> None:
-    bar = functools.partial(progress, description=name)
-    measured.add(row, evaluate_detector(backend, test, modalities=False, progress=bar), timed)
+        Raises:
+            RunError: the folder holds runs with other settings.
+        """
+        runs = self.plan.all_runs()
+        trained = train_missing(runs, workers=self.plan.workers, progress=bar)
+        for _ in self._progress(trained, total=len(runs), description="training"):
+            pass
 
+    def measure(self) -> None:
+        """Tune and score every row."""
+        self._measure_classical()
+        for seed in self.plan.seeds:
+            for row in LEARNED_ROWS:
+                self._measure_network(self.plan.run_of(row, seed))
 
-def _measure_classical(
-    plan: SuitePlan, frames: Sequence[Sample], measured: Measured, score: Score, progress: Progress
-) -> None:
-    bar = functools.partial(progress, description="tuning Gabor + Canny + Hough")
-    result = tune(frames, np.random.default_rng(plan.seeds[0]), plan.trials, progress=bar)
-    measured.tuning["classical"] = _search_report(result)
-    detector = ClassicalDetector(result.parameters)
-    score("classical", LineBackend(detector), detector, "Gabor + Canny + Hough")
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """ "table2", "table3", "table6" -> JSON-able: rows, notes, and for table 6 what the searches found."""
+        frames = [self._test[index] for index in range(min(TIMED_FRAMES, len(self._test)))]
+        cpu_ms = interleaved_cpu_ms(self._timed, frames)
+        reports = {f"table{table}": _report(table, self.plan, self.scores, cpu_ms) for table in PAPER_TABLES}
+        reports["table6"]["tuning"] = self.tuning
+        return reports
 
+    def picture(self) -> np.ndarray:
+        """What the methods of table 6 find on a few test frames, uint8 (H, W, 3)."""
+        shown = {row.model: self.detectors[row.row] for row in PAPER_TABLES[6]}
+        regions = {
+            row.model: detector.find
+            for row in PAPER_TABLES[6]
+            if isinstance(detector := self.detectors[row.row], RoiClassicalDetector)
+        }
+        return compare(exemplary_frames(self._test), shown, regions)
 
-def _measure_networks(
-    plan: SuitePlan, seed: int, frames: Sequence[Sample], measured: Measured, score: Score, progress: Progress
-) -> None:
-    for row in LEARNED_ROWS:
-        network = load_run(plan.run_of(row, seed))
-        name = f"{row}, seed {seed}"
+    def _measure_classical(self) -> None:
+        bar = functools.partial(self._progress, description="tuning Gabor + Canny + Hough")
+        result = tune(self._tuning_frames, np.random.default_rng(self.plan.seeds[0]), self.plan.trials, progress=bar)
+        self.tuning["classical"] = _search_report(result)
+        detector = ClassicalDetector(result.parameters)
+        self._add("classical", self._score(LineBackend(detector), "Gabor + Canny + Hough"), detector, detector)
+
+    def _measure_network(self, run: Run) -> None:
+        network = load_run(run)
+        name = f"{run.row}, seed {run.seed}"
         if isinstance(network, RoiNetwork):
-            region, result = tuned_within_regions(network, frames, plan, progress)
-            measured.tuning[f"roi_classical, seed {seed}"] = {"regions": asdict(region), **_search_report(result)}
-            finder = RegionFinder(network, region.least_score)
-            detector: LineDetector = RoiClassicalDetector(finder, result.parameters)
-            score("roi_classical", LineBackend(detector), detector, name)
-            continue
+            region, result = tuned_within_regions(network, self._tuning_frames, self.plan, self._progress)
+            self.tuning[f"roi_classical, seed {run.seed}"] = {"regions": asdict(region), **_search_report(result)}
+            detector = RoiClassicalDetector(RegionFinder(network, region.least_score), result.parameters)
+            self._add("roi_classical", self._score(LineBackend(detector), name), detector, detector)
+            return
         backend: Backend
         if isinstance(network, StairNet):
             backend = StairNetBackend(network)
         else:
             assert isinstance(network, StairNetV2)
             backend = TorchBackend(network=network)
-        score(row, backend, functools.partial(_one_pair, backend), name)
+        scores = self._remembered_scores(run, backend, name)
+        self._add(run.row, scores, GridDetector(backend), functools.partial(_one_pair, backend))
+
+    def _add(self, row: str, scores: Mapping[str, Tally], detector: LineDetector, timed: TimedDetector) -> None:
+        self.scores.setdefault(row, []).append(scores)
+        self.detectors.setdefault(row, detector)
+        self._timed.setdefault(row, timed)
+
+    def _score(self, backend: Backend, name: str) -> dict[str, Tally]:
+        bar = functools.partial(self._progress, description=name)
+        return evaluate_detector(backend, self._test, modalities=False, progress=bar)
+
+    def _remembered_scores(self, run: Run, backend: Backend, name: str) -> dict[str, Tally]:
+        """Scores of a network that has nothing left to tune, kept beside its weights: scoring takes minutes."""
+        path, test = run.path / SCORES_FILE, self._test.folder
+        key = {"folder": str(test.resolve()), "frames": len(self._test)}
+        if path.is_file():
+            there = json.loads(path.read_text(encoding="utf-8"))
+            if there["set"] == key:
+                return {split: Tally(DetectionCounts(*counts)) for split, counts in there["counts"].items()}
+        scores = self._score(backend, name)
+        counts = {split: list(astuple(tally.counts)) for split, tally in scores.items()}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps({"set": key, "counts": counts}) + "\n", encoding="utf-8")
+        return scores
 
 
 def _one_pair(backend: Backend, rgb: np.ndarray, depth_m: np.ndarray) -> Any:
@@ -219,16 +235,13 @@ def interleaved_cpu_ms(detectors: Mapping[str, TimedDetector], frames: Sequence[
     return {name: 1e3 * float(np.median(spent)) for name, spent in times.items()}
 
 
-def _report(table: int, plan: SuitePlan, measured: Measured, cpu_ms: Mapping[str, float]) -> dict[str, Any]:
+def _report(table: int, plan: SuitePlan, scores: Scores, cpu_ms: Mapping[str, float]) -> dict[str, Any]:
     preset = plan.preset
     small = sum(preset.is_small(epoch) for epoch in range(preset.epochs))
     remark = REMARK.format(width=plan.width, epochs=preset.epochs, frames=preset.frames_per_epoch or "all", small=small)
     widths: dict[str, float | None] = dict.fromkeys([*LEARNED_ROWS, "roi_classical"], plan.width)
-    report: dict[str, Any] = {
-        "rows": table_rows(table, measured.scores, widths, cpu_ms),
-        "notes": [*table_notes(table, measured.scores), remark, TIME_REMARK.format(count=TIMED_FRAMES)],
-        "training": asdict(preset) | {"seeds": list(plan.seeds)},
+    return {
+        "rows": table_rows(table, scores, widths, cpu_ms),
+        "notes": [*table_notes(table, scores), remark, TIME_REMARK.format(count=TIMED_FRAMES)],
+        "training": asdict(preset) | {"seeds": list(plan.seeds), "data": plan.data.name},
     }
-    if table == 6:
-        report["tuning"] = measured.tuning
-    return report

@@ -104,11 +104,11 @@ class RoiClassicalDetector:
     """
 
     def __init__(self, find: FindRegions, parameters: ClassicalParameters | None = None) -> None:
-        self._find, self._classical = find, ClassicalDetector(parameters)
+        self.find, self._classical = find, ClassicalDetector(parameters)
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
         """Find lines; none where no region is found."""
-        return self.within(self._find(rgb), rgb, depth_m)
+        return self.within(self.find(rgb), rgb, depth_m)
 
     def within(self, regions: np.ndarray, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
         """Find lines in given regions.

@@ -35,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
         "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
-        "table3.json and table6.json into --results.",
+        "table3.json and table6.json, and a picture of what each method finds, into --results.",
     )
     parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
@@ -130,8 +130,9 @@ def _run_paper(args: argparse.Namespace) -> int:
         limit_threads(args.threads)
     import torch
 
-    from perception.baselines.paper_suite import SuitePlan, run_suite
+    from perception.baselines.paper_suite import PaperSuite, SuitePlan
     from perception.baselines.runs import SUITE_PRESET
+    from stair_env.contact_sheet import write_picture
 
     if args.threads:
         torch.set_num_threads(args.threads)
@@ -141,12 +142,16 @@ def _run_paper(args: argparse.Namespace) -> int:
     plan = SuitePlan(
         args.data, args.runs, preset, args.seeds, float(args.width[0]), args.tune_frames, args.trials, workers
     )
-    tables = run_suite(plan, progress=progress)
+    suite = PaperSuite(plan, progress)
+    suite.train()
+    suite.measure()
+    tables = suite.tables()
     for name, report in tables.items():
         print(f"\n{name}")
         _print_table(report["rows"])
         print("\n".join(f"  {note}" for note in report["notes"]))
         write_json(args.results / f"{name}.json", report, seed=args.seed)
+    write_picture(args.results / "table6.png", suite.picture())
     if args.json:
         write_json(args.json, tables, seed=args.seed)
     return 0

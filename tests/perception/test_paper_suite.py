@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from perception.baselines.paper_figure import FOUND, brightened, compare, exemplary_frames
 from perception.baselines.paper_suite import SuitePlan, interleaved_cpu_ms, tuned_within_regions
 from perception.baselines.paper_tables import PAPER_TABLES, table_notes, table_rows
 from perception.baselines.regions import RememberedRegions, box_iou, choose_least_score
@@ -14,8 +15,9 @@ from perception.baselines.roi import region_of
 from perception.baselines.roi_network import RoiNetwork
 from perception.baselines.runs import LEARNED_ROWS, SUITE_PRESET, Run, RunError, load_run, train_missing
 from perception.baselines.stairnet import StairNet, StairNetBackend
-from perception.dataset import Sample
+from perception.dataset import Sample, StairDataset
 from perception.dataset_writer import DatasetPlan, write_missing
+from perception.drawing import TRUE
 from perception.evaluation import Tally
 from perception.metrics import DetectionCounts
 from perception.network import StairNetV2
@@ -158,6 +160,25 @@ def test_detectors_are_timed_by_turns():
     assert all(value >= 0.0 for value in times.values())
 
 
+def test_picture_shows_labels_and_every_method(data):
+    lit = dataclasses.replace(frame(LINES), rgb=np.full((512, 512, 3), 40, np.uint8), meta={"lighting": "night"})
+    frames = [lit, frame(np.zeros((0, 4)))]
+    boxes = {"b": lambda rgb: np.array([[50.0, 50, 400, 400, 0.9]])}
+    picture = compare(frames, {"a": lambda rgb, depth: LINES, "b": lambda rgb, depth: np.zeros((0, 4))}, boxes)
+    assert picture.shape == (22 + 2 * 260, 3 * 260, 3)
+    assert (picture[22:282, :260] == TRUE).all(-1).any(), "labels"
+    assert not (picture[282:, :260] == TRUE).all(-1).any()
+    assert (np.abs(picture[22:282, 260:520].astype(int) - FOUND).max(-1) < 40).any()
+    blue = (picture[..., 2].astype(int) - picture[..., 0]) > 80
+    assert blue[22:, 520:].any(), "the region"
+    assert not blue[22:, :260].any()
+    with pytest.raises(ValueError, match="frames"):
+        compare([], {})
+    assert brightened(lit.rgb).mean() == pytest.approx(90.0, abs=1.0)
+    assert brightened(frames[1].rgb).max() == 0
+    assert {f.view for f in exemplary_frames(StairDataset(data, "test"))} <= {"ascending", "descending", "none"}
+
+
 def test_stairnet_back_end_is_the_network():
     torch.manual_seed(0)
     network = StairNet(0.25).eval()
@@ -231,6 +252,15 @@ def test_one_command_trains_and_writes_the_tables(data, tmp_path, capsys):
     assert {"classical", "roi_classical, seed 0"} == set(reports[6]["tuning"])
     assert "order" in capsys.readouterr().out
     page = write_page(tmp_path / "r").read_text()
-    assert "table6" in page
+    assert "![table6](table6.png)" in page
     assert reports[6]["notes"][0] in page
-    assert main(["perception-evaluate", *options]) == 0, "trained already"
+
+    def scores():
+        return {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").glob("*/test_scores.json")}
+
+    before = scores()
+    assert len(before) == len(LEARNED_ROWS) - 1, "of all rows but the region detector, which has steps to tune"
+    assert main(["perception-evaluate", *options]) == 0
+    assert scores() == before, "trained and scored already"
+    again = json.loads((tmp_path / "r" / "table2.json").read_text())
+    assert [row["iou"] for row in again["rows"]] == [row["iou"] for row in reports[2]["rows"]]

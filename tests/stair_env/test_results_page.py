@@ -15,6 +15,7 @@ CONTENT = {
     "date": "2026-01-01",
     "machine": {"cpu": "some cpu", "cores": 2},
     "policy": "aliengo",
+    "notes": ["The oracle leads.", "By a lot."],
     "cells": [
         {"source": "oracle", "ci95": [0.51234, 1.0], "terminations": {"fall": 1}},
         {"source": "gait", "extra": None},
@@ -35,6 +36,7 @@ def test_page_holds_tables_and_provenance(tmp_path: Path) -> None:
         "some cpu, 2 cores",
         "0.5123, 1",
         "| oracle | 0.9877 |",
+        "- The oracle leads.\n- By a lot.\n",
         "![b](b.png)",
     ):
         assert part in text
