@@ -1,11 +1,13 @@
-"""What `gym.make("stair_env/StairClimbPerception-v0")` builds."""
+"""What `gym.make` and `gym.make_vec` build for "stair_env/StairClimbPerception-v0"."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from perception.vector_wrapper import PerceptionVectorWrapper
 from perception.wrapper import PerceptionWrapper
 from stair_env.rgbd import StairClimbRgbdEnv
+from stair_env.vector import make_rgbd_vec
 
 
 def make_perception_env(estimator: dict[str, Any] | None = None, **kwargs: Any) -> PerceptionWrapper:
@@ -22,3 +24,28 @@ def make_perception_env(estimator: dict[str, Any] | None = None, **kwargs: Any) 
 
     env = StairClimbRgbdEnv(**{**kwargs, "stair_source": "external"})
     return PerceptionWrapper(env, StairEstimator(**(estimator or {})))
+
+
+def make_perception_vec(
+    num_envs: int = 1, estimator: dict[str, Any] | None = None, **kwargs: Any
+) -> PerceptionVectorWrapper:
+    """Many of them: worker processes walk and render, and here all frames go through the network in one batch.
+
+    Args:
+        num_envs: how many.
+        estimator: as for `make_perception_env`; there is one estimator, in this process.
+        kwargs: see `stair_env.vector.make_worker_vec`, those of each environment included.
+
+    Raises:
+        ValueError: an argument is wrong; the message names it, its value and the choices.
+        WorkerError: the workers could not be started.
+    """
+    from perception.estimator import StairEstimator
+
+    vector = make_rgbd_vec(num_envs, **{**kwargs, "stair_source": "external"})
+    try:
+        robot, intrinsics = vector.get_attr("robot")[0], vector.get_attr("camera_intrinsics")[0]
+        return PerceptionVectorWrapper(vector, robot, intrinsics, StairEstimator(**(estimator or {})))
+    except BaseException:
+        vector.close()
+        raise

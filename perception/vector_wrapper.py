@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+import dataclasses
+from typing import Any, NamedTuple, Protocol
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv, VectorWrapper
@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from perception.estimator import StairEstimator
 from perception.wrapper import NEEDED_KEYS, StairPerception, perceived_info, perceived_observation, perceived_space
 from stair_env.camera.intrinsics import Intrinsics
-from stair_env.observation import StairBlock
+from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.robots import RobotSpec
 
 
@@ -21,7 +21,7 @@ class SupportsProvideStairs(Protocol):
     """A vector environment that hands every sub-environment its own stair block."""
 
     def provide_stairs(self, blocks: np.ndarray) -> None:
-        """Give (n, 8) blocks to the n gaits."""
+        """Give (n, 8) float64 blocks to the n gaits."""
 
 
 class PerceptionVectorWrapper(VectorWrapper):
@@ -61,14 +61,15 @@ class PerceptionVectorWrapper(VectorWrapper):
         self.estimator = estimator if estimator is not None else StairEstimator()
         self.perceptions = [StairPerception(robot, intrinsics) for _ in range(env.num_envs)]
         self._clock = np.full(env.num_envs, np.inf)
+        self._blocks = [NO_STAIRS] * env.num_envs
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode in every environment."""
+        """Begin an episode in every environment, or in those that options["reset_mask"] chooses."""
         vector: Any = self.env  # its annotation knows no list of seeds, its code does
         observations, infos = vector.reset(seed=seed, options=options)
-        self._clock[:] = np.inf
+        self._clock[infos["_camera"]] = np.inf
         return self._perceive(observations, infos), infos
 
     def step(
@@ -76,62 +77,76 @@ class PerceptionVectorWrapper(VectorWrapper):
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step in every environment; the network runs once, on all frames that are new."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            self._perceive_ends(infos)
         return self._perceive(observations, infos), rewards, terminations, truncations, infos
 
     def _perceive(self, observations: dict[str, np.ndarray], infos: dict[str, Any]) -> dict[str, np.ndarray]:
-        camera = infos["camera"]
-        times, frames, captured = (np.asarray(camera[key]) for key in ("time_s", "frame", "captured_at_s"))
-        for index, perception in enumerate(self.perceptions):
-            if times[index] <= self._clock[index] and (times[index] < self._clock[index] or times[index] == 0.0):
-                perception.reset(float(times[index]))
-            perception.feel(observations["proprio"][index], observations["imu"][index], float(times[index]))
-        self._clock[:] = times
-        new = [i for i, perception in enumerate(self.perceptions) if perception.is_new(int(frames[i]))]
-        self._look(new, observations, frames, captured)
-        blocks = [perception.block() for perception in self.perceptions]
-        arrays = np.stack([block.as_array() for block in blocks])
-        self._provide(blocks, arrays)
-        infos["perceived"] = [
-            perceived_info(block, perception.estimate, int(frames[i]))
-            for i, (block, perception) in enumerate(zip(blocks, self.perceptions))
-        ]
-        return perceived_observation(observations, arrays)
+        present = np.flatnonzero(infos["_camera"]).tolist()  # all, but for a reset of some
+        moments = {index: _moment(observations, infos["camera"], index) for index in present}
+        for index, moment in moments.items():
+            if moment.time_s <= self._clock[index] and (moment.time_s < self._clock[index] or moment.time_s == 0.0):
+                self.perceptions[index].reset(moment.time_s)
+            self._clock[index] = moment.time_s
+        for index, block in self._look(moments).items():
+            self._blocks[index] = block
+            said = perceived_info(block, self.perceptions[index].estimate, moments[index].frame)
+            self._add_info(infos, {"perceived": said}, index)
+        self._provide(self._blocks)
+        return perceived_observation(observations, np.stack([block.as_array() for block in self._blocks]))
 
-    def _look(
-        self, new: list[int], observations: dict[str, np.ndarray], frames: np.ndarray, captured: np.ndarray
-    ) -> None:
-        chosen = [self.perceptions[i] for i in new]
+    def _perceive_ends(self, infos: dict[str, Any]) -> None:
+        """Perceive the last observation of episodes that ended within this step (autoreset mode "SameStep")."""
+        ended = np.flatnonzero(infos["_final_obs"]).tolist()
+        finals, final_info = infos["final_obs"], infos["final_info"]
+        moments = {index: _moment(finals[index], final_info["camera"], index, batched=False) for index in ended}
+        for index, block in self._look(moments).items():
+            said = perceived_info(block, self.perceptions[index].estimate, moments[index].frame)
+            self._add_info(final_info, {"perceived": said}, index)
+            finals[index] = perceived_observation(finals[index], block.as_array())
+
+    def _look(self, moments: dict[int, _Moment]) -> dict[int, StairBlock]:
+        """Have environments perceive a moment each; the network runs once, on the frames that are new."""
+        for index, moment in moments.items():
+            self.perceptions[index].feel(moment.proprio, moment.imu, moment.time_s)
+        new = [index for index, moment in moments.items() if self.perceptions[index].is_new(moment.frame)]
+        chosen = [self.perceptions[index] for index in new]
+        seen = [moments[index] for index in new]
         estimates = self.estimator.estimate_batch(
-            [observations["rgb"][i] for i in new],
-            [observations["depth"][i] for i in new],
+            [moment.rgb for moment in seen],
+            [moment.depth for moment in seen],
             [perception.intrinsics for perception in chosen],
-            [perception.gravity_at(float(captured[i])) for i, perception in zip(new, chosen)],
+            [perception.gravity_at(moment.captured_at_s) for perception, moment in zip(chosen, seen)],
         )
-        for i, perception, estimate in zip(new, chosen, estimates):
-            perception.look(estimate, int(frames[i]), float(captured[i]))
+        for perception, moment, estimate in zip(chosen, seen, estimates):
+            perception.look(estimate, moment.frame, moment.captured_at_s)
+        return {index: self.perceptions[index].block() for index in moments}
 
-    def _provide(self, blocks: list[StairBlock], arrays: np.ndarray) -> None:
+    def _provide(self, blocks: list[StairBlock]) -> None:
         target: Any = self.env
         if hasattr(target, "provide_stairs"):
-            target.provide_stairs(arrays)
+            target.provide_stairs(np.array([dataclasses.astuple(block) for block in blocks]))
             return
         for env, block in zip(target.envs, blocks):
             env.unwrapped.provide_stair(block)
 
 
-def make_perception_vector(
-    num_envs: int, estimator: dict[str, Any] | None = None, **kwargs: Any
-) -> PerceptionVectorWrapper:
-    """A vector of perceived environments that run in this process.
+class _Moment(NamedTuple):
+    """What one environment's sensors say at one control step."""
 
-    Args:
-        num_envs: how many.
-        estimator: keyword arguments of `StairEstimator`.
-        kwargs: of `stair_env.rgbd.StairClimbRgbdEnv`, the same for all.
-    """
-    from stair_env.rgbd import StairClimbRgbdEnv
+    proprio: np.ndarray
+    imu: np.ndarray
+    rgb: np.ndarray
+    depth: np.ndarray
+    time_s: float
+    frame: int
+    captured_at_s: float
 
-    options = {**kwargs, "stair_source": "external"}
-    vector = gym.vector.SyncVectorEnv([lambda: StairClimbRgbdEnv(**options) for _ in range(num_envs)])
-    first: Any = vector.envs[0].unwrapped
-    return PerceptionVectorWrapper(vector, first.robot, first.camera_intrinsics, StairEstimator(**(estimator or {})))
+
+def _moment(
+    observation: dict[str, np.ndarray], camera: dict[str, np.ndarray], index: int, batched: bool = True
+) -> _Moment:
+    """One environment's part of a batch (of its infos alone if the observation is not batched)."""
+    proprio, imu, rgb, depth = (observation[key][index] if batched else observation[key] for key in NEEDED_KEYS)
+    time_s, captured_at_s = float(camera["time_s"][index]), float(camera["captured_at_s"][index])
+    return _Moment(proprio, imu, rgb, depth, time_s, int(camera["frame"][index]), captured_at_s)

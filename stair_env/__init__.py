@@ -21,7 +21,10 @@ _ENTRY_POINTS: dict[str, dict[str, Any]] = {
         "entry_point": "stair_env.rgbd:StairClimbRgbdEnv",
         "vector_entry_point": "stair_env.vector:make_rgbd_vec",
     },
-    "stair_env/StairClimbPerception-v0": {"entry_point": "perception.environment:make_perception_env"},
+    "stair_env/StairClimbPerception-v0": {
+        "entry_point": "perception.environment:make_perception_env",
+        "vector_entry_point": "perception.environment:make_perception_vec",
+    },
 }
 ENV_IDS = tuple(_ENTRY_POINTS)
 

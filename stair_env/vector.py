@@ -138,6 +138,17 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         self._ended = terminated | truncated
         return self._observation(), pool.rewards.copy(), terminated, truncated, infos
 
+    def provide_stairs(self, blocks: np.ndarray) -> None:
+        """Give each gait the stair block that it reads at the next step (environments with stair_source="external").
+
+        Args:
+            blocks: (num_envs, 8), fields as in `stair_env.observation.STAIR_FIELDS`.
+
+        Raises:
+            ValueError: wrong shape.
+        """
+        self._pool.provide_stairs(blocks)
+
     def render(self) -> tuple[Any, ...]:
         """What each environment's `render` returns."""
         return self.call("render")

@@ -24,6 +24,7 @@ from stair_env.shared_arrays import SharedArrays
 EnvFactory = Callable[[], gym.Env]
 Request = tuple[int, str, tuple[Any, ...]]  # number, command, arguments
 OBSERVATION = "observation/"  # prefix of the shared arrays that hold the observation, one per key
+STAIRS, STAIRS_GIVEN = "stairs", "stairs given"  # blocks for the gaits, and whether there are new ones
 ORPHAN_CHECK_S = 2.0  # how often an idle worker looks whether its parent still lives
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -163,10 +164,14 @@ class Worker:
 
     def _step_one(self, offset: int) -> StepInfo:
         env = self._environment(self._task.first + offset)
+        given, self._arrays[STAIRS_GIVEN][self.current] = bool(self._arrays[STAIRS_GIVEN][self.current]), False
         if self._task.next_step and self._ended[offset]:
             observation, info = env.reset()
             self._put(observation, 0.0, False, False)
             return StepInfo(info)
+        if given:
+            unwrapped: Any = env.unwrapped
+            unwrapped.provide_stair(self._arrays[STAIRS][self.current])
         action = self._arrays["action"][self.current].copy()
         observation, reward, terminated, truncated, info = env.step(action)
         if not (self._task.same_step and (terminated or truncated)):

@@ -22,9 +22,19 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import CloudpickleWrapper
 
+from stair_env.observation import STAIR_FIELDS
 from stair_env.shared_arrays import ArrayLayout, SharedArrays
 from stair_env.stairs import check_choice
-from stair_env.worker_process import OBSERVATION, EnvFactory, Failure, StepInfo, WorkerTask, run_worker
+from stair_env.worker_process import (
+    OBSERVATION,
+    STAIRS,
+    STAIRS_GIVEN,
+    EnvFactory,
+    Failure,
+    StepInfo,
+    WorkerTask,
+    run_worker,
+)
 
 CLOSE_TIMEOUT_S = 5.0  # a worker that has not gone by then is killed
 DEATH_CHECK_S = 1.0  # upper bound on how late a timeout is noticed
@@ -76,6 +86,7 @@ class WorkerPool:
         views = arrays.views()
         self.observation = {key: views[OBSERVATION + key] for key in observation_space.spaces}
         self.actions, self.rewards = views["action"], views["reward"]
+        self._stairs, self._stairs_given = views[STAIRS], views[STAIRS_GIVEN]
         self.terminated, self.truncated = views["terminated"], views["truncated"]
         self._processes: list[BaseProcess] = []
         self._connections: list[Connection] = []
@@ -112,6 +123,22 @@ class WorkerPool:
         self.actions[:] = actions
         self._send(range(len(self.shares)), lambda worker: ("step", ()))
         self._pending = True
+
+    def provide_stairs(self, blocks: np.ndarray) -> None:
+        """Give each environment the stair block that its gait reads at the next step, if that is no reset.
+
+        Args:
+            blocks: (num_envs, 8), see `stair_env.observation.STAIR_FIELDS`.
+
+        Raises:
+            ValueError: wrong shape.
+            WorkerError: the pool is closed or broken, or a step is under way.
+        """
+        if np.shape(blocks) != self._stairs.shape:
+            raise ValueError(f"blocks have shape {np.shape(blocks)}, must be {self._stairs.shape}")
+        self._check_ready()
+        self._stairs[:] = blocks
+        self._stairs_given[:] = True
 
     def finish_step(self) -> list[StepInfo]:
         """Wait for the step; the shared arrays hold its results until the next.
@@ -312,6 +339,8 @@ def _layout(num_envs: int, observation_space: spaces.Dict, action_space: spaces.
         "reward": ((num_envs,), np.dtype(np.float64)),
         "terminated": ((num_envs,), np.dtype(bool)),
         "truncated": ((num_envs,), np.dtype(bool)),
+        STAIRS: ((num_envs, len(STAIR_FIELDS)), np.dtype(np.float64)),
+        STAIRS_GIVEN: ((num_envs,), np.dtype(bool)),
     }
     for key, space in observation_space.spaces.items():
         if not isinstance(space, spaces.Box):
