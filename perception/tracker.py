@@ -120,6 +120,7 @@ class StairTracker:
         self._hip_forward_m = hip_forward_m
         self._odometry = PlanarOdometry()
         self._map = NosingMap()
+        self._pitch_cos = 1.0
         self.reset(0.0)
 
     def reset(self, time_s: float = 0.0) -> None:
@@ -147,14 +148,18 @@ class StairTracker:
 
     # ------------------------------------------------------------------ input
 
-    def advance(self, time_s: float, forward_m_s: float, left_m_s: float, yaw_rate: float) -> None:
+    def advance(
+        self, time_s: float, forward_m_s: float, left_m_s: float, yaw_rate: float, pitch_rad: float = 0.0
+    ) -> None:
         """The robot moved.
 
         Args:
             time_s: now.
             forward_m_s, left_m_s: mean velocity since the last call, level frame of the base, m/s.
             yaw_rate: mean rate of the heading since the last call, rad/s.
+            pitch_rad: of the trunk now, either sign; a pitched trunk brings the hips nearer to the base.
         """
+        self._pitch_cos = math.cos(pitch_rad)
         before = self._odometry.pose
         pose = self._odometry.advance(time_s, forward_m_s, left_m_s, yaw_rate)
         if pose is before or self._direction == 0:
@@ -245,7 +250,7 @@ class StairTracker:
 
     def _hip_ahead(self) -> float:
         """Front hips along the stairs, from the base, metres."""
-        return self._hip_forward_m * math.cos(self._heading - self._odometry.pose.heading)
+        return self._hip_forward_m * self._pitch_cos * math.cos(self._heading - self._odometry.pose.heading)
 
     def block(self) -> StairBlock:
         """The stair block for now."""

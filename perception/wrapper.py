@@ -78,7 +78,8 @@ class StairPerception:
         self._body.append(_BodyMoment(time_s, self._attitude.update(imu), feet[touching]))
         velocity = proprio[PROPRIO_SLICES["velocity"]]
         yaw_rate = float(proprio[PROPRIO_SLICES["yaw_rate"]][0])
-        self.tracker.advance(time_s, float(velocity[0]), float(velocity[1]), yaw_rate)
+        pitch = math.asin(min(max(float(proprio[PROPRIO_SLICES["gravity"]][0]), -1.0), 1.0))
+        self.tracker.advance(time_s, float(velocity[0]), float(velocity[1]), yaw_rate, pitch)
 
     def is_new(self, frame: int) -> bool:
         """Whether a frame of this number has not been looked at yet."""

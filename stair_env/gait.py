@@ -69,7 +69,7 @@ class GaitConfig:
     down: TrotStyle = TrotStyle(frequency_hz=4.0, capture_forward=0.1, capture_lateral=0.2)
     swing_fraction: float = 0.5
     flat_speed: float = 0.35
-    clearance: float = 0.06
+    clearance: float = 0.08
     unknown_clearance: float = 0.12
     nosing_margin: float = 0.05
     drop_margin: float = 0.13
@@ -210,7 +210,7 @@ class Gait:
             self._heading_error *= math.exp(-dt / 0.5)
         self._cos, self._sin = math.cos(self._heading_error), math.sin(self._heading_error)
         self.map.advance(self._along_stairs(forward, left) * dt, dt)
-        self.map.observe(block, self.robot.hip_x[0] * self._cos)
+        self.map.observe(block, self.robot.hip_x[0] * math.cos(self._pitch) * self._cos)
         if self._first_block and block.valid >= 0.5:
             self._first_block = False
             self._start_on_map()

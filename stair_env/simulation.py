@@ -29,7 +29,7 @@ PHYSICS_RATE_HZ = 240
 SUBSTEPS = 5
 CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
 CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
-POSITION_GAIN, VELOCITY_GAIN = 0.2, 0.8  # Bullet's position motor; measured to hold a trot on stairs
+POSITION_GAIN, VELOCITY_GAIN = 0.03, 0.8  # Bullet's position motor, with velocities fed forward (docs/climbing.md)
 FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
 SHAPE_COLOURS = {
     "floor": (0.62, 0.61, 0.58, 1.0),
@@ -123,6 +123,7 @@ class Simulation:
         self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
         self.body = -1
         self.ground: list[int] = []
+        self._last_targets = np.zeros(NUM_JOINTS)
         self._signs = np.array(robot.joint_signs)
         self._offsets = np.array(robot.joint_offsets)
         # What Bullet calls zero, of angles, velocities and torques.
@@ -217,6 +218,7 @@ class Simulation:
         inertial_to_world = pybullet.multiplyTransforms(*link_to_world, *self._inertial_to_link)
         self.client.resetBasePositionAndOrientation(self.body, *inertial_to_world)  # it takes the inertial frame
         self.client.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0])
+        self._last_targets = joint_angles
         for joint, angle in zip(self._joints, self._to_urdf(joint_angles)):
             self.client.resetJointState(self.body, joint, angle, 0.0)
 
@@ -228,17 +230,23 @@ class Simulation:
         self.client.changeDynamics(self.body, -1, mass=max(0.2, self._base_mass + kilograms))
 
     def command_joints(self, joint_angles: np.ndarray, strength: float = 1.0) -> None:
-        """Set position-motor targets.
+        """Set the motors' targets for a control step.
+
+        The velocity that leads from the last targets to these is fed forward. Without it a motor rushes to each
+        target and waits there, 48 times a second, and the feet chatter on the ground and slip.
 
         Args:
             joint_angles: (12,) canonical, radians.
             strength: factor on the largest torque.
         """
+        velocities = (joint_angles - self._last_targets) / CONTROL_DT
+        self._last_targets = joint_angles
         self._set_motors(
             self.body,
             self._joints,
             pybullet.POSITION_CONTROL,
             targetPositions=self._to_urdf(joint_angles).tolist(),
+            targetVelocities=(self._signs * velocities).tolist(),
             positionGains=[POSITION_GAIN] * NUM_JOINTS,
             velocityGains=[VELOCITY_GAIN] * NUM_JOINTS,
             forces=[strength * self.robot.max_torque] * NUM_JOINTS,

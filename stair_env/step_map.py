@@ -15,6 +15,8 @@ import numpy as np
 from stair_env.observation import StairBlock
 
 FORGET_BEHIND_M = 1.5
+SLIP_MEMORY_M = 0.5  # of odometry, over which the feet's slip is learned
+SLIP_RANGE = (0.4, 1.2)  # true distance per distance of the odometry
 LOST_AFTER_S = 1.5  # an edge ahead that nobody confirms for so long is dropped
 
 
@@ -38,6 +40,14 @@ class StepMap:
         self._level_behind = level  # of the ground before the first remembered edge
         self._unconfirmed_s = 0.0
         self._extends = False
+        self._since_block = 0.0  # odometry since the last block, metres
+        self._odometry_m, self._true_m = 0.0, 0.0  # fading sums of what odometry and blocks say was walked
+
+    @property
+    def slip(self) -> float:
+        """True distance per distance of the odometry, learned from how the next edge comes nearer; 1 at first."""
+        prior = 0.2 * SLIP_MEMORY_M
+        return min(max((self._true_m + prior) / (self._odometry_m + prior), SLIP_RANGE[0]), SLIP_RANGE[1])
 
     @property
     def knows_stairs(self) -> bool:
@@ -60,9 +70,11 @@ class StepMap:
         """Move the map because the robot moved.
 
         Args:
-            distance: how far along the stairs, metres.
+            distance: how far along the stairs by odometry, metres.
             dt: time it took, seconds.
         """
+        self._since_block += distance
+        distance *= self.slip
         self._passed_s = [s - distance for s in self._passed_s]
         while self._passed_s and self._passed_s[0] < -FORGET_BEHIND_M:
             self._passed_s.pop(0)
@@ -93,10 +105,18 @@ class StepMap:
                 self._pass_next()
             elif error > -0.5 * self._tread:
                 self._passed_s = [s + error for s in self._passed_s]
+                self._learn_slip(error)
+        self._since_block = 0.0
         self._next_s = target
         self._next_rise = _sign(float(block.direction)) * float(block.step_height)
         self._unconfirmed_s = 0.0
         self._extends = True
+
+    def _learn_slip(self, error: float) -> None:
+        """Feet that slip or pivot make the odometry read too far; the edge ahead tells by how much."""
+        fade = math.exp(-abs(self._since_block) / SLIP_MEMORY_M)
+        self._true_m = fade * self._true_m + self._since_block * self.slip - error
+        self._odometry_m = fade * self._odometry_m + self._since_block
 
     def _pass_next(self) -> None:
         assert self._next_s is not None

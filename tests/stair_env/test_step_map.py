@@ -81,3 +81,32 @@ def test_footholds_keep_their_distance_and_their_tread(s, direction, choosing, c
     # A correction of the map moves the foothold with its tread, it never jumps to another.
     step_map.observe(block(0.3 + correction, direction), HIP)
     assert abs(step_map.clear_of_edges(placed, **margins) - placed) <= abs(correction) + 1e-9
+
+
+@given(true_share=st.floats(0.6, 1.1), speed=st.floats(0.2, 0.5))
+def test_slip_is_learned_from_the_edge_that_comes_nearer_and_used_when_none_does(true_share, speed):
+    step_map, dt = StepMap(), 1 / 48
+    hip, edge = 0.24, 1.2
+    walked = 0.0
+    while edge - walked > hip + 0.05:
+        step_map.observe(block(edge - walked - hip), hip)
+        step_map.advance(speed / true_share * dt, dt)  # an odometry that reads 1 / true_share
+        walked += speed * dt
+    assert abs(step_map.slip - true_share) <= 0.25 * abs(1.0 - true_share) + 0.01  # the rest is caution
+    step_map.observe(block(edge - walked - hip), hip)
+    before = step_map.edges()[0][0]
+    for _ in range(20):
+        step_map.advance(speed / true_share * dt, dt)
+    unlearned = abs(1.0 / true_share - 1.0)
+    error = (before - step_map.edges()[0][0]) / (20 * speed * dt) - 1.0
+    assert abs(error) <= 0.3 * unlearned + 0.02
+
+
+def test_noise_of_the_block_is_not_taken_for_slip():
+    rng, step_map = np.random.default_rng(0), StepMap()
+    walked = 0.0
+    for _ in range(200):
+        step_map.observe(block(2.0 - walked + rng.normal(0, 0.008)), 0.24)
+        step_map.advance(0.006, 1 / 48)
+        walked += 0.006
+    assert step_map.slip == pytest.approx(1.0, abs=0.05)
