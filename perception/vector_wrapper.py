@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -125,7 +124,7 @@ class PerceptionVectorWrapper(VectorWrapper):
     def _provide(self, blocks: list[StairBlock]) -> None:
         target: Any = self.env
         if hasattr(target, "provide_stairs"):
-            target.provide_stairs(np.array([dataclasses.astuple(block) for block in blocks]))
+            target.provide_stairs(np.array(blocks))
             return
         for env, block in zip(target.envs, blocks):
             env.unwrapped.provide_stair(block)

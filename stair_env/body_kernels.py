@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float64, njit, void
+from numba import boolean, float64, njit, void
 
 FLOATS, ROWS = float64[::1], float64[:, ::1]  # contiguous arrays of one and two dimensions
 Vector = tuple[float, float, float]
@@ -127,6 +127,60 @@ def inverse_legs(
         angles[3 * leg + 1] = math.atan2(-x, -down) - inward
         angles[3 * leg + 2] = lower
     return angles
+
+
+@njit(ROWS(ROWS, FLOATS, ROWS), cache=True, nogil=True, error_model="numpy")
+def level_stance(feet: np.ndarray, joint_angles: np.ndarray, base_to_level: np.ndarray) -> np.ndarray:
+    """Feet and shanks in a frame without pitch and roll.
+
+    Args:
+        feet: (4, 3) base frame, metres.
+        joint_angles: (12,), radians.
+        base_to_level: (3, 3) rotation.
+
+    Returns:
+        (4, 4) float64: x, y, z of each foot, metres, and the pitch of its shank, radians.
+    """
+    stance = np.empty((4, 4))
+    pitch = math.atan2(-base_to_level[2, 0], base_to_level[0, 0])
+    for leg in range(4):
+        x, y, z = feet[leg, 0], feet[leg, 1], feet[leg, 2]
+        for axis in range(3):
+            stance[leg, axis] = base_to_level[axis, 0] * x + base_to_level[axis, 1] * y + base_to_level[axis, 2] * z
+        stance[leg, 3] = pitch + joint_angles[3 * leg + 1] + joint_angles[3 * leg + 2]
+    return stance
+
+
+@njit(FLOATS(ROWS, ROWS, boolean[::1], float64, float64), cache=True, nogil=True, error_model="numpy")
+def displacement(
+    before: np.ndarray, after: np.ndarray, standing: np.ndarray, yaw_change: float, foot_radius: float
+) -> np.ndarray:
+    """How the trunk moved while feet stood still.
+
+    Args:
+        before, after: (4, 4) as `level_stance` returns them.
+        standing: (4,) which feet stood all the while, at least one.
+        yaw_change: heading change in between, radians.
+        foot_radius: metres; a round foot's centre travels that far per radian that its shank turns.
+
+    Returns:
+        (3,) float64, metres in the level frame of `after`: the median over the standing feet.
+    """
+    cos, sin = math.cos(yaw_change), math.sin(yaw_change)
+    moved = np.empty((3, 4))
+    count = 0
+    for leg in range(4):
+        if standing[leg]:
+            rolled = foot_radius * (after[leg, 3] - before[leg, 3])
+            moved[0, count] = cos * before[leg, 0] + sin * before[leg, 1] - after[leg, 0] + rolled
+            moved[1, count] = cos * before[leg, 1] - sin * before[leg, 0] - after[leg, 1]
+            moved[2, count] = before[leg, 2] - after[leg, 2]
+            count += 1
+    median = np.empty(3)
+    for axis in range(3):
+        ordered = np.sort(moved[axis, :count])
+        median[axis] = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
+    return median
 
 
 @njit(ROWS(ROWS, ROWS, FLOATS), cache=True, nogil=True, error_model="numpy")

@@ -305,8 +305,9 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return HipPose(float(self._state.position[0]) + reach * math.cos(yaw), yaw, self.time_s)
 
     def _observe_stairs(self) -> None:
-        self._hips = self._hip_pose()
-        self._block = self.source.read(self._hips)
+        hips = self._hip_pose()
+        self._truth = true_block(self.stairs, self.profile, hips)
+        self._block = self.source.read(hips, self._truth)
 
     def provide_stair(self, block: StairBlock | np.ndarray) -> None:
         """Give the stair block that the gait reads at the next step (stair_source="external").
@@ -346,19 +347,17 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         """The privileged part of the observation, empty unless asked for."""
         if not self.privileged:
             return {}
-        stair = true_block(self.stairs, self.profile, self._hips)
         radius = self.robot.foot_radius
-        truth = Truth(stair, self.profile, self._state, self._contacts, self._feet, radius, self._body)
+        truth = Truth(self._truth, self.profile, self._state, self._contacts, self._feet, radius, self._body)
         return {PRIVILEGED_KEY: pack_privileged(truth)}
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
-        truth = true_block(self.stairs, self.profile, self._hips)
         info: dict[str, Any] = {
             "is_success": extra.get("termination") == "success",
             "steps_climbed": self._steps_climbed,
             "reward_terms": terms,
             "truth": {
-                **vars(truth),
+                **self._truth._asdict(),
                 "riser_height": self.stairs.riser_height,
                 "tread_depth": self.stairs.tread_depth,
                 "num_steps": len(self.profile.edge_x),

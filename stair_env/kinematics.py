@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.body_kernels import forward_legs, inverse_legs
+from stair_env.body_kernels import forward_legs, inverse_legs, level_stance
 from stair_env.robots import LEG_SIDE, RobotSpec
 
 REACH_MARGIN = 0.995  # fraction of the stretched leg that inverse kinematics will ask for
@@ -38,6 +38,19 @@ class LegKinematics:
             np.ascontiguousarray(joint_angles, np.float64), self._hips, self._side_offsets, self._links
         )
         return feet
+
+    def stance(self, joint_angles: np.ndarray, base_to_level: np.ndarray) -> np.ndarray:
+        """Where the feet are and how the shanks lean, in the level frame.
+
+        Args:
+            joint_angles: (12,) canonical angles, radians.
+            base_to_level: (3, 3) rotation.
+
+        Returns:
+            (4, 4) float64: x, y, z of each foot's centre, metres, and the pitch of its shank, radians.
+        """
+        stance: np.ndarray = level_stance(self.foot_positions(joint_angles), joint_angles, base_to_level)
+        return stance
 
     def joint_angles(self, feet: np.ndarray) -> np.ndarray:
         """Joint angles that put the feet where asked; a foot out of reach is pulled to the nearest reach.

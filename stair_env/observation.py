@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -55,8 +55,7 @@ PROPRIO_BOUND = np.concatenate([np.full(length, bound, np.float32) for length, b
 PROPRIO_LOW = -PROPRIO_BOUND
 
 
-@dataclass(frozen=True)
-class StairBlock:
+class StairBlock(NamedTuple):
     """The stair block as named numbers, in the order of STAIR_FIELDS."""
 
     valid: float = 0.0
@@ -72,7 +71,7 @@ class StairBlock:
         """(8,) float32 within the block's bounds; all zero when invalid."""
         if self.valid < 0.5:
             return np.zeros(len(STAIR_FIELDS), np.float32)
-        values = np.array(list(vars(self).values()), np.float32)
+        values = np.array(self, np.float32)
         np.maximum(values, STAIR_LOW, out=values)
         return np.minimum(values, STAIR_HIGH, out=values)
 

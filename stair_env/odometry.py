@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from stair_env.body_kernels import displacement
 from stair_env.kinematics import LegKinematics
 from stair_env.robots import RobotSpec
 
@@ -24,8 +23,7 @@ class LegOdometry:
 
     def reset(self) -> None:
         """Forget the last step."""
-        self._last_feet: np.ndarray | None = None
-        self._last_shank: np.ndarray | None = None
+        self._last_stance: np.ndarray | None = None
         self._last_contact = np.zeros(4, bool)
         self._velocity = np.zeros(3)
 
@@ -44,24 +42,10 @@ class LegOdometry:
         Returns:
             (3,) m/s in the level frame of this step. Without a foot that stood through the step, the last value.
         """
-        feet = self._kinematics.foot_positions(joint_angles) @ base_to_level.T
-        body_pitch = np.arctan2(-base_to_level[2, 0], base_to_level[0, 0])
-        angles = joint_angles.reshape(4, 3)
-        shank = body_pitch + angles[:, 1] + angles[:, 2]
-        standing = np.asarray(contact, bool) & self._last_contact
-        if self._last_feet is not None and self._last_shank is not None and standing.any():
-            cos, sin = math.cos(yaw_change), math.sin(yaw_change)
-            turned = self._last_feet @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-            moved = turned[standing] - feet[standing]
-            # A round foot rolls: its centre travels r per radian of shank rotation.
-            moved[:, 0] += self._radius * (shank - self._last_shank)[standing]
-            self._velocity = _median(moved) / dt
-        self._last_feet, self._last_shank, self._last_contact = feet, shank, np.asarray(contact, bool).copy()
+        stance = self._kinematics.stance(joint_angles, base_to_level)
+        contact = np.asarray(contact, bool)
+        standing = contact & self._last_contact
+        if self._last_stance is not None and standing.any():
+            self._velocity = displacement(self._last_stance, stance, standing, yaw_change, self._radius) / dt
+        self._last_stance, self._last_contact = stance, contact.copy()
         return self._velocity
-
-
-def _median(rows: np.ndarray) -> np.ndarray:
-    """Median of each column (numpy's own costs ten times as much at this size)."""
-    ordered = np.sort(rows, axis=0)
-    count = len(ordered)
-    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2

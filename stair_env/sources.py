@@ -12,8 +12,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Protocol
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,8 +25,7 @@ from stair_env.stairs import StairProfile, StairSpec, check_choice
 VIEW_RANGE_M = 2.5  # beyond it a head-mounted D435i sees too little of a step to measure it
 
 
-@dataclass(frozen=True)
-class HipPose:
+class HipPose(NamedTuple):
     """Midpoint of the front hips in the stair frame.
 
     Attributes:
@@ -40,17 +41,18 @@ class HipPose:
 
 def true_block(spec: StairSpec, profile: StairProfile, pose: HipPose) -> StairBlock:
     """The stair block as the simulator knows it; empty when no edge lies within view ahead."""
-    ahead = int(np.searchsorted(profile.edge_x, pose.x, side="right"))
-    if ahead >= len(profile.edge_x):
+    edges, levels = profile.plain
+    ahead = bisect_right(edges, pose.x)
+    if ahead >= len(edges):
         return NO_STAIRS
-    distance = float(profile.edge_x[ahead]) - pose.x
+    distance = edges[ahead] - pose.x
     if distance > VIEW_RANGE_M:
         return NO_STAIRS
-    rise = float(profile.level_z[ahead + 1] - profile.level_z[ahead])
+    rise = levels[ahead + 1] - levels[ahead]
     return StairBlock(
         valid=1.0,
         direction=math.copysign(1.0, rise),
-        step_width=_run_after(spec, profile, ahead),
+        step_width=_run_after(spec, edges, ahead),
         step_height=abs(rise),
         edge_distance=distance,
         heading_error=_wrap(-pose.yaw),
@@ -59,13 +61,13 @@ def true_block(spec: StairSpec, profile: StairProfile, pose: HipPose) -> StairBl
     )
 
 
-def _run_after(spec: StairSpec, profile: StairProfile, index: int) -> float:
+def _run_after(spec: StairSpec, edges: Sequence[float], index: int) -> float:
     """Tread depth behind a nosing; at the end of a flight, where the landing follows, that of the step before."""
     last_of_flight = (index + 1) % spec.num_steps == 0
     if last_of_flight and index % spec.num_steps == 0:
         return spec.tread_depth
     first = index - 1 if last_of_flight else index
-    return float(profile.edge_x[first + 1] - profile.edge_x[first])
+    return edges[first + 1] - edges[first]
 
 
 class StairSource(Protocol):
@@ -74,20 +76,19 @@ class StairSource(Protocol):
     def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
         """Begin an episode on a staircase."""
 
-    def read(self, pose: HipPose) -> StairBlock:
-        """Block for this control step."""
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
+        """Block for this control step, at a pose where the truth is this."""
 
 
 class OracleSource:
     """The truth."""
 
     def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
-        """Begin an episode on a staircase."""
-        self._spec, self._profile = spec, spec.profile()
+        """Begin an episode."""
 
-    def read(self, pose: HipPose) -> StairBlock:
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
         """Block for this control step."""
-        return true_block(self._spec, self._profile, pose)
+        return truth
 
 
 class BlindSource:
@@ -96,7 +97,7 @@ class BlindSource:
     def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
         """Begin an episode."""
 
-    def read(self, pose: HipPose) -> StairBlock:
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
         """Block for this control step."""
         return NO_STAIRS
 
@@ -119,9 +120,9 @@ class ShuffledSource:
         self._spec, self._profile = other, other.profile()
         self._shift = float(rng.uniform(-0.5, 0.5)) * other.tread_depth
 
-    def read(self, pose: HipPose) -> StairBlock:
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
         """Block for this control step."""
-        return true_block(self._spec, self._profile, replace(pose, x=pose.x + self._shift))
+        return true_block(self._spec, self._profile, pose._replace(x=pose.x + self._shift))
 
 
 def _elsewhere(rng: np.random.Generator, value: float, low: float, high: float, gap: float) -> float:
@@ -168,8 +169,8 @@ class NoisySource:
         self._errors = errors
 
     def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
-        """Begin an episode on a staircase and draw its constant errors."""
-        self._spec, self._profile, self._rng = spec, spec.profile(), rng
+        """Begin an episode and draw its constant errors."""
+        self._rng = rng
         errors = self._errors
         scale = np.array([errors.width_bias, errors.height_bias, errors.distance_bias])
         self._bias = rng.normal(size=3) * scale
@@ -178,7 +179,7 @@ class NoisySource:
         self._measured_at = -math.inf
         self._dark_until = -math.inf
 
-    def read(self, pose: HipPose) -> StairBlock:
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
         """Block for this control step; between frames the last errors persist, as a tracker's do."""
         errors, rng = self._errors, self._rng
         if pose.time_s - self._measured_at >= errors.frame_interval_s and rng.random() >= errors.dropout:
@@ -189,16 +190,15 @@ class NoisySource:
             self._flipped = rng.random() < errors.wrong_direction * errors.frame_interval_s
             if rng.random() < errors.blackout * errors.frame_interval_s:
                 self._dark_until = pose.time_s + errors.blackout_s
-        block = true_block(self._spec, self._profile, pose)
-        if block.valid < 0.5 or pose.time_s < self._dark_until:
+        if truth.valid < 0.5 or pose.time_s < self._dark_until:
             return NO_STAIRS
-        return replace(
-            block,
-            direction=-block.direction if self._flipped else block.direction,
-            step_width=max(block.step_width + self._bias[0] + self._jitter[0], 0.1),
-            step_height=max(block.step_height + self._bias[1] + self._jitter[1], 0.01),
-            edge_distance=block.edge_distance + self._bias[2] + self._jitter[2],
-            heading_error=block.heading_error + self._jitter[3],
+        return StairBlock(
+            valid=1.0,
+            direction=-truth.direction if self._flipped else truth.direction,
+            step_width=max(truth.step_width + self._bias[0] + self._jitter[0], 0.1),
+            step_height=max(truth.step_height + self._bias[1] + self._jitter[1], 0.01),
+            edge_distance=truth.edge_distance + self._bias[2] + self._jitter[2],
+            heading_error=truth.heading_error + self._jitter[3],
             age=max(pose.time_s - self._measured_at, 0.0) if math.isfinite(self._measured_at) else 0.0,
             confidence=float(rng.uniform(0.6, 1.0)),
         )
@@ -215,7 +215,7 @@ class ExternalSource:
         """Set the block for the next control step."""
         self._block = block
 
-    def read(self, pose: HipPose) -> StairBlock:
+    def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
         """Block for this control step."""
         return self._block
 

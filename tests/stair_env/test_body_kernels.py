@@ -5,7 +5,16 @@ import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stair_env.body_kernels import TRACK_WIDTH, digitise, feel, forward_legs, inverse_legs, trace_trunk
+from stair_env.body_kernels import (
+    TRACK_WIDTH,
+    digitise,
+    displacement,
+    feel,
+    forward_legs,
+    inverse_legs,
+    level_stance,
+    trace_trunk,
+)
 from stair_env.imu import sensor_point_velocity, specific_force
 
 HIPS = np.array([[0.24, -0.05, 0.0], [0.24, 0.05, 0.0], [-0.24, -0.05, 0.0], [-0.24, 0.05, 0.0]])
@@ -44,6 +53,26 @@ def test_a_foot_out_of_reach_is_pulled_in_along_its_line():
     line = (reached - HIPS)[:, [0, 2]]
     np.testing.assert_allclose(np.hypot(*line.T), 0.45, atol=1e-12)
     np.testing.assert_allclose(line[:, 0] / line[:, 1], -0.5, atol=1e-12)
+
+
+def test_stances_are_seen_without_pitch_and_roll():
+    rng = np.random.default_rng(0)
+    feet, angles, pitch = rng.normal(size=(4, 3)), rng.uniform(-1, 1, 12), 0.3
+    turn = Rotation.from_euler("y", pitch).as_matrix()
+    stance = level_stance(feet, angles, turn)
+    np.testing.assert_allclose(stance[:, :3], feet @ turn.T, atol=1e-15)
+    np.testing.assert_allclose(stance[:, 3], pitch + angles[1::3] + angles[2::3], atol=1e-15)
+
+
+@pytest.mark.parametrize("standing", [[1, 1, 1, 1], [1, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 1]])
+def test_displacement_is_the_median_of_the_standing_feet(standing):
+    rng, yaw_change, radius = np.random.default_rng(sum(standing)), 0.2, 0.03
+    before, after, standing = rng.normal(size=(4, 4)), rng.normal(size=(4, 4)), np.array(standing, bool)
+    turned = before[:, :3] @ Rotation.from_euler("z", yaw_change).as_matrix()
+    moved = turned - after[:, :3]
+    moved[:, 0] += radius * (after[:, 3] - before[:, 3])
+    found = displacement(before, after, standing, yaw_change, radius)
+    np.testing.assert_allclose(found, np.median(moved[standing], axis=0), atol=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(5))
