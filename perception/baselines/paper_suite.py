@@ -123,11 +123,12 @@ class PaperSuite:
             pass
 
     def measure(self) -> None:
-        """Tune and score every row."""
+        """Tune and score every row that is trained; the tables say which are not."""
         self._measure_classical()
-        for seed in self.plan.seeds:
-            for row in LEARNED_ROWS:
-                self._measure_network(self.plan.run_of(row, seed))
+        for run in self.plan.all_runs():
+            if run.is_done:
+                run.check_settings()
+                self._measure_network(run)
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """ "table2", "table3", "table6" -> JSON-able: rows, notes, and for table 6 what the searches found."""
@@ -139,12 +140,8 @@ class PaperSuite:
 
     def picture(self) -> np.ndarray:
         """What the methods of table 6 find on a few test frames, uint8 (H, W, 3)."""
-        shown = {row.model: self.detectors[row.row] for row in PAPER_TABLES[6]}
-        regions = {
-            row.model: detector.find
-            for row in PAPER_TABLES[6]
-            if isinstance(detector := self.detectors[row.row], RoiClassicalDetector)
-        }
+        shown = {row.model: self.detectors[row.row] for row in PAPER_TABLES[6] if row.row in self.detectors}
+        regions = {name: found.find for name, found in shown.items() if isinstance(found, RoiClassicalDetector)}
         return compare(exemplary_frames(self._test), shown, regions)
 
     def _measure_classical(self) -> None:

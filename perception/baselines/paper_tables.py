@@ -66,7 +66,7 @@ def table_rows(
 
     Args:
         table: 2, 3 or 6.
-        scores: of every row of the table.
+        scores: of the table's rows; rows without scores are left out.
         widths: of our rows.
         cpu_ms: milliseconds of processor time a frame.
 
@@ -76,7 +76,7 @@ def table_rows(
     """
     rows = []
     for paper, split in itertools.product(PAPER_TABLES[table], LIGHTS):
-        tallies = [tally[split] for tally in scores[paper.row] if split in tally]
+        tallies = [tally[split] for tally in scores.get(paper.row, ()) if split in tally]
         if not tallies:
             continue
         row: dict[str, Any] = {"model": paper.model, "width": widths.get(paper.row), "split": split}
@@ -96,15 +96,19 @@ def table_rows(
 
 def table_notes(table: int, scores: Scores) -> list[str]:
     """What a table says about the paper's claims, each sentence decided by the numbers."""
+    missing = [paper.model for paper in PAPER_TABLES[table] if paper.row not in scores]
     notes = [order_note(table, scores), *spread_notes(table, scores)]
-    if table == 6 and all(light in scores["stairnetv2"][0] for light in LIGHTS):
+    if missing:
+        notes.append(f"Not trained yet and left out: {', '.join(missing)}.")
+    networks = [scores[row][0] for row in ("stairnet", "stairnetv2") if row in scores]
+    if table == 6 and len(networks) == 2 and all(light in tallies for tallies in networks for light in LIGHTS):
         notes.append(night_note(scores))
     return notes
 
 
 def order_note(table: int, scores: Scores) -> str:
     """Our order by IOU, and where it differs from the paper's."""
-    names = {paper.row: paper.model for paper in PAPER_TABLES[table]}
+    names = {paper.row: paper.model for paper in PAPER_TABLES[table] if paper.row in scores}
     ious = {row: mean_iou(scores[row]) for row in names}
     ours = " < ".join(f"{names[row]} {ious[row]:.2f}" for row in sorted(ious, key=lambda row: ious[row]))
     swapped = [
@@ -112,13 +116,15 @@ def order_note(table: int, scores: Scores) -> str:
         for low, high in itertools.combinations(names, 2)
         if ious[low] > ious[high]
     ]
+    if len(ious) < 2:
+        return f"By IOU: {ours}."
     verdict = "the paper's order" if not swapped else f"not the paper's order: {'; '.join(swapped)}"
     return f"By IOU: {ours} — {verdict}."
 
 
 def spread_notes(table: int, scores: Scores) -> list[str]:
     """How far several trainings of a row lie apart, or that close rows were trained but once."""
-    papers = PAPER_TABLES[table]
+    papers = [paper for paper in PAPER_TABLES[table] if paper.row in scores]
     notes = []
     for paper in papers:
         ious = [tally["all"].counts.iou for tally in scores[paper.row]]

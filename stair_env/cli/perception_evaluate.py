@@ -60,6 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     paper.add_argument("--epochs", type=positive_int, help="of every training (10: about 8 core-minutes each on a CPU)")
     paper.add_argument("--frames-per-epoch", type=positive_int, help="of every training (600)")
     paper.add_argument("--seeds", type=seed_list, default=(0,), help="of the trainings, comma-separated (0)")
+    paper.add_argument("--trained-only", action="store_true", help="train nothing: tables of the rows that are trained")
     paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores)")
     tuning = parser.add_argument_group("classical and paper suites")
     tuning.add_argument(
@@ -143,7 +144,8 @@ def _run_paper(args: argparse.Namespace) -> int:
         args.data, args.runs, preset, args.seeds, float(args.width[0]), args.tune_frames, args.trials, workers
     )
     suite = PaperSuite(plan, progress)
-    suite.train()
+    if not args.trained_only:
+        suite.train()
     suite.measure()
     tables = suite.tables()
     for name, report in tables.items():

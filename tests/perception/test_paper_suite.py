@@ -96,6 +96,18 @@ def test_notes_say_whether_the_order_is_the_papers():
     assert "not larger" in table_notes(6, IN_ORDER | scores_of(stairnet=(50, 40, 58)))[-1]
 
 
+def test_rows_that_are_not_trained_are_left_out_and_named():
+    scores = {row: seeds for row, seeds in IN_ORDER.items() if row != "stairnet"}
+    assert {row["model"] for row in table_rows(6, scores, {}, dict.fromkeys(scores, 1.0))} == {
+        "Gabor + Canny + Hough",
+        "YOLOv5 + Gabor + Canny + Hough",
+        "StairNetV2",
+    }
+    notes = table_notes(6, scores)
+    assert notes[0].endswith("the paper's order.")
+    assert notes[-1] == "Not trained yet and left out: StairNet."
+
+
 def test_close_rows_of_one_seed_are_not_told_apart():
     close = scores_of(stairnetv2=50.4, stairnetv2_fixed_weights=50.0)
     assert "not told apart" in table_notes(3, close)[-1]
