@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -87,8 +88,7 @@ class GaitConfig:
     residual_smoothing: float = 0.4
 
 
-@dataclass(frozen=True)
-class GaitAction:
+class GaitAction(NamedTuple):
     """The policy's sixteen numbers, scaled.
 
     Attributes:
@@ -108,12 +108,13 @@ class GaitAction:
     @classmethod
     def from_array(cls, action: np.ndarray, config: GaitConfig) -> GaitAction:
         """Scale an action (16,) in [-1, 1]."""
+        speed, clearance, frequency, pitch = action[12:].tolist()
         return cls(
             feet=action[:12].reshape(4, 3) * config.residual_m,
-            speed=1.0 + config.speed_range * float(action[12]),
-            clearance=config.clearance_range * float(action[13]),
-            frequency=1.0 + config.frequency_range * float(action[14]),
-            pitch=config.pitch_range * float(action[15]),
+            speed=1.0 + config.speed_range * speed,
+            clearance=config.clearance_range * clearance,
+            frequency=1.0 + config.frequency_range * frequency,
+            pitch=config.pitch_range * pitch,
         )
 
 
@@ -184,7 +185,7 @@ class Gait:
         smoothing = self.config.residual_smoothing
         self._action = (1 - smoothing) * self._action + smoothing * np.minimum(np.maximum(action, -1.0), 1.0)
         modulation = GaitAction.from_array(self._action, self.config)
-        forward, left = float(odometry_velocity[0]), float(odometry_velocity[1])
+        forward, left = odometry_velocity[:2].tolist()
         share = 1 - math.exp(-dt / VELOCITY_SMOOTHING_S)
         self._velocity_forward += share * (forward - self._velocity_forward)
         self._velocity_left += share * (left - self._velocity_left)
@@ -237,7 +238,8 @@ class Gait:
         cos, sin = math.cos(turn_rate * dt), math.sin(turn_rate * dt)
         travelled = speed * dt
         for point in (*self._feet, *self._swing_start, *self._landing):
-            x, y = point[0] - travelled, point[1]
+            x, y, _ = point
+            x -= travelled
             point[0], point[1] = cos * x + sin * y, cos * y - sin * x
 
     def _swing_progress(self) -> list[float]:
@@ -279,9 +281,9 @@ class Gait:
         settles, so that the shin clears the nosing behind it.
         """
         if progress < 0.7:
-            self._landing[leg] = self._clear(*self._landing[leg][:2])
+            self._landing[leg] = self._clear(self._landing[leg][0], self._landing[leg][1])
         start, landing = self._swing_start[leg], self._landing[leg]
-        start_s, end_s = self._along_stairs(*start[:2]), self._along_stairs(*landing[:2])
+        start_s, end_s = self._along_stairs(start[0], start[1]), self._along_stairs(landing[0], landing[1])
         clearance = self.config.clearance if self.map.knows_stairs else self.config.unknown_clearance
         apex = max(start[2], landing[2], self.map.highest_between(start_s, end_s)) + max(
             clearance + extra_clearance, 0.02
@@ -300,9 +302,9 @@ class Gait:
         """Trunk height over the mean foothold and pitch along the local slope, both smoothed."""
         ground = [self._ground_under(leg, progress) for leg, progress in enumerate(self._swing_progress())]
         share = 1 - math.exp(-dt / self.config.smoothing_s)
-        self._height += share * (sum(point[2] for point in ground) / 4 - self._height)
-        run, rise = (_mean_of_pair(ground[:2], axis) - _mean_of_pair(ground[2:], axis) for axis in (0, 2))
-        slope = math.atan2(rise, run)
+        (x_1, _, z_1), (x_2, _, z_2), (x_3, _, z_3), (x_4, _, z_4) = ground
+        self._height += share * ((z_1 + z_2 + z_3 + z_4) / 4 - self._height)
+        slope = math.atan2((z_1 + z_2) / 2 - (z_3 + z_4) / 2, (x_1 + x_2) / 2 - (x_3 + x_4) / 2)
         self._pitch += share * (-self.config.pitch_follow * slope - self._pitch)
 
     def _ground_under(self, leg: int, progress: float) -> Point:
@@ -310,7 +312,8 @@ class Gait:
         if not self._in_swing[leg]:
             return self._feet[leg]
         travel = _smoothstep(progress)
-        return [a + travel * (b - a) for a, b in zip(self._swing_start[leg], self._landing[leg])]
+        (x, y, z), (to_x, to_y, to_z) = self._swing_start[leg], self._landing[leg]
+        return [x + travel * (to_x - x), y + travel * (to_y - y), z + travel * (to_z - z)]
 
     def _feet_in_base(self, extra_pitch: float) -> np.ndarray:
         """Planned feet (4, 3) in the base frame, metres."""

@@ -2,8 +2,8 @@
 
 The map is one-dimensional, along the walking direction of the stairs, and moves with the robot: s = 0 is the base,
 positive s lies ahead. It is filled from the stair block alone and remembers the edges the front feet have passed,
-because the rear feet still have to climb them. It holds a handful of edges and is asked some thirty times a control
-step: plain floats are several times faster than arrays here.
+because the rear feet still have to climb them. It holds a handful of edges and is asked some twenty times a control
+step: plain floats are several times faster than arrays here, and the list of edges is made once per change.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ class StepMap:
         Args:
             level: height of the ground, metres.
         """
+        self._edges: list[tuple[float, float]] | None = None  # what `edges` found; None once the map has changed
         self._passed_s: list[float] = []
         self._passed_rise: list[float] = []
         self._next_s: float | None = None
@@ -73,6 +74,7 @@ class StepMap:
             distance: how far along the stairs by odometry, metres.
             dt: time it took, seconds.
         """
+        self._edges = None
         self._since_block += distance
         distance *= self.slip
         self._passed_s = [s - distance for s in self._passed_s]
@@ -92,6 +94,7 @@ class StepMap:
             block: as observed.
             front_hip_s: position of the midpoint of the front hips, metres.
         """
+        self._edges = None
         if block.valid < 0.5:
             self._extends = False
             if self._next_s is not None and self._next_s < front_hip_s:
@@ -132,6 +135,7 @@ class StepMap:
         """
         if self._next_s is None or abs(self._next_rise) < 0.01:
             return
+        self._edges = None
         count = round(height_difference / self._next_rise)
         for k in range(min(max(count, 0), count_limit), 0, -1):
             self._passed_s.append(self._next_s - k * self._tread)
@@ -140,16 +144,21 @@ class StepMap:
 
     def edges(self) -> list[tuple[float, float]]:
         """Position and signed rise of each edge, metres, sorted; one more step than observed is assumed ahead."""
-        edges = list(zip(self._passed_s, self._passed_rise))
-        if self._next_s is not None:
-            edges.append((self._next_s, self._next_rise))
-            if self._extends:
-                edges.append((self._next_s + self._tread, self._next_rise))
-        return edges
+        if self._edges is None:
+            self._edges = list(zip(self._passed_s, self._passed_rise))
+            if self._next_s is not None:
+                self._edges.append((self._next_s, self._next_rise))
+                if self._extends:
+                    self._edges.append((self._next_s + self._tread, self._next_rise))
+        return self._edges
 
     def height_at(self, s: float) -> float:
         """Ground height at position s, metres."""
-        return self._level_behind + sum(rise for edge_s, rise in self.edges() if edge_s < s)
+        level = self._level_behind
+        for edge_s, rise in self.edges():
+            if edge_s < s:
+                level += rise
+        return level
 
     def heights_at(self, s: np.ndarray) -> np.ndarray:
         """Ground height at positions s (n,), metres."""
@@ -169,15 +178,14 @@ class StepMap:
             Position that stays where it is when it is passed in again, however the map is corrected by less than
             the margins.
         """
-        edges = [(edge_s, after if rise > 0 else after_drop) for edge_s, rise in self.edges()]
-        if choosing:
-            behind = sum(edge_s + (room - before) / 2 <= s for edge_s, room in edges)
-        else:
-            behind = sum(edge_s <= s for edge_s, _ in edges)  # edges on the near side of the tread
+        edges, behind = self.edges(), 0  # edges on the near side of the tread
+        for edge_s, rise in edges:
+            room = after if rise > 0 else after_drop
+            behind += edge_s + ((room - before) / 2 if choosing else 0.0) <= s
         low, high = -math.inf, math.inf
         if behind > 0:
-            edge_s, room = edges[behind - 1]
-            low = edge_s + min(room, 0.6 * self._tread)
+            edge_s, rise = edges[behind - 1]
+            low = edge_s + min(after if rise > 0 else after_drop, 0.6 * self._tread)
         if behind < len(edges):
             high = edges[behind][0] - min(before, 0.3 * self._tread)
         return max(min(s, high), low)
@@ -185,8 +193,9 @@ class StepMap:
     def highest_between(self, start: float, end: float) -> float:
         """Highest ground on the way from start to end, metres."""
         highest = max(self.height_at(start), self.height_at(end))
+        low, high = min(start, end), max(start, end)
         for edge_s, _ in self.edges():
-            if min(start, end) < edge_s < max(start, end):
+            if low < edge_s < high:
                 highest = max(highest, self.height_at(edge_s - 1e-3), self.height_at(edge_s + 1e-3))
         return highest
 
