@@ -10,6 +10,8 @@ import math
 
 import numpy as np
 
+from stair_env.body_kernels import level_turn
+
 STANDARD_GRAVITY = 9.80665  # m/s² per g
 DEGREES_PER_RADIAN = 180.0 / math.pi
 
@@ -112,10 +114,5 @@ def base_to_level(up: np.ndarray) -> np.ndarray:
     Returns:
         (3, 3): level_vector = R @ base_vector; the level frame's x axis is the base's x axis laid flat.
     """
-    x, y, z = (-up[0] * up).tolist()
-    x += 1.0  # the base's x axis less its part along up
-    length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-    x, y, z = x / length, y / length, z / length
-    up_x, up_y, up_z = up.tolist()
-    left = [up_y * z - up_z * y, up_z * x - up_x * z, up_x * y - up_y * x]
-    return np.array([[x, y, z], left, [up_x, up_y, up_z]])
+    turn: np.ndarray = level_turn(np.asarray(up, np.float64))
+    return turn

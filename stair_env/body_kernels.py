@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import boolean, float64, njit, void
 
-FLOATS, ROWS = float64[::1], float64[:, ::1]  # contiguous arrays of one and two dimensions
+FLOATS, ROWS, FLAGS = float64[::1], float64[:, ::1], boolean[::1]  # contiguous arrays
 Vector = tuple[float, float, float]
 # Where a row of a trunk's track holds what; the rotation base_to_world lies row by row.
 POSITION, ROTATION, VELOCITY, ANGULAR_VELOCITY, TRACK_WIDTH = 0, 3, 12, 15, 18
@@ -129,57 +129,82 @@ def inverse_legs(
     return angles
 
 
-@njit(ROWS(ROWS, FLOATS, ROWS), cache=True, nogil=True, error_model="numpy")
-def level_stance(feet: np.ndarray, joint_angles: np.ndarray, base_to_level: np.ndarray) -> np.ndarray:
+@njit(ROWS(FLOATS), cache=True, nogil=True, error_model="numpy")
+def level_turn(up: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) that takes roll and pitch out and leaves the heading alone; up (3,) points against gravity."""
+    x, y, z = 1.0 - up[0] * up[0], -up[0] * up[1], -up[0] * up[2]  # the x axis less its part along up
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    ahead, above = (x / length, y / length, z / length), _vector(up, 0)
+    left = _cross(above, ahead)
+    turn = np.empty((3, 3))
+    for axis in range(3):
+        turn[0, axis], turn[1, axis], turn[2, axis] = ahead[axis], left[axis], above[axis]
+    return turn
+
+
+@njit(ROWS(FLOATS, ROWS, FLOATS, FLOATS, ROWS), cache=True, nogil=True, error_model="numpy")
+def level_stance(
+    joint_angles: np.ndarray,
+    hips: np.ndarray,
+    side_offsets: np.ndarray,
+    links: np.ndarray,
+    base_to_level: np.ndarray,
+) -> np.ndarray:
     """Feet and shanks in a frame without pitch and roll.
 
     Args:
-        feet: (4, 3) base frame, metres.
-        joint_angles: (12,), radians.
+        joint_angles, hips, side_offsets, links: as in `forward_legs`.
         base_to_level: (3, 3) rotation.
 
     Returns:
         (4, 4) float64: x, y, z of each foot, metres, and the pitch of its shank, radians.
     """
-    stance = np.empty((4, 4))
+    feet, stance = forward_legs(joint_angles, hips, side_offsets, links), np.empty((4, 4))
+    turn = base_to_level.ravel()
     pitch = math.atan2(-base_to_level[2, 0], base_to_level[0, 0])
     for leg in range(4):
-        x, y, z = feet[leg, 0], feet[leg, 1], feet[leg, 2]
+        foot = _turned(turn, _vector(feet[leg], 0))
         for axis in range(3):
-            stance[leg, axis] = base_to_level[axis, 0] * x + base_to_level[axis, 1] * y + base_to_level[axis, 2] * z
+            stance[leg, axis] = foot[axis]
         stance[leg, 3] = pitch + joint_angles[3 * leg + 1] + joint_angles[3 * leg + 2]
     return stance
 
 
-@njit(FLOATS(ROWS, ROWS, boolean[::1], float64, float64), cache=True, nogil=True, error_model="numpy")
+@njit(FLOATS(ROWS, ROWS, FLAGS, FLAGS, float64, float64), cache=True, nogil=True, error_model="numpy")
 def displacement(
-    before: np.ndarray, after: np.ndarray, standing: np.ndarray, yaw_change: float, foot_radius: float
+    before: np.ndarray,
+    after: np.ndarray,
+    touched: np.ndarray,
+    touching: np.ndarray,
+    yaw_change: float,
+    foot_radius: float,
 ) -> np.ndarray:
     """How the trunk moved while feet stood still.
 
     Args:
         before, after: (4, 4) as `level_stance` returns them.
-        standing: (4,) which feet stood all the while, at least one.
+        touched, touching: (4,) bool, which feet were on the ground then and now.
         yaw_change: heading change in between, radians.
         foot_radius: metres; a round foot's centre travels that far per radian that its shank turns.
 
     Returns:
-        (3,) float64, metres in the level frame of `after`: the median over the standing feet.
+        (3,) float64, metres in the level frame of `after`: the median over the feet that stood; NaN if none did.
     """
     cos, sin = math.cos(yaw_change), math.sin(yaw_change)
     moved = np.empty((3, 4))
     count = 0
     for leg in range(4):
-        if standing[leg]:
+        if touched[leg] and touching[leg]:
             rolled = foot_radius * (after[leg, 3] - before[leg, 3])
             moved[0, count] = cos * before[leg, 0] + sin * before[leg, 1] - after[leg, 0] + rolled
             moved[1, count] = cos * before[leg, 1] - sin * before[leg, 0] - after[leg, 1]
             moved[2, count] = before[leg, 2] - after[leg, 2]
             count += 1
-    median = np.empty(3)
+    median = np.full(3, np.nan)
     for axis in range(3):
-        ordered = np.sort(moved[axis, :count])
-        median[axis] = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
+        if count > 0:
+            ordered = np.sort(moved[axis, :count])
+            median[axis] = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
     return median
 
 

@@ -295,7 +295,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
             self._odometry_velocity = self._odometry.update(
                 self._joints, self._contacts.touching, level, self._yaw_rate * CONTROL_DT, CONTROL_DT
             )
-            self._energy += float(np.abs(torques * self._joint_rates).sum()) * CONTROL_DT
+            self._energy += float(np.dot(np.abs(torques), np.abs(self._joint_rates))) * CONTROL_DT
 
     # ------------------------------------------------------------------ what comes out
 

@@ -183,7 +183,7 @@ class Gait:
             (12,) canonical joint angles, radians.
         """
         smoothing = self.config.residual_smoothing
-        self._action = (1 - smoothing) * self._action + smoothing * np.minimum(np.maximum(action, -1.0), 1.0)
+        self._action = (1 - smoothing) * self._action + smoothing * action
         modulation = GaitAction.from_array(self._action, self.config)
         forward, left = odometry_velocity[:2].tolist()
         share = 1 - math.exp(-dt / VELOCITY_SMOOTHING_S)

@@ -49,7 +49,8 @@ class LegKinematics:
         Returns:
             (4, 4) float64: x, y, z of each foot's centre, metres, and the pitch of its shank, radians.
         """
-        stance: np.ndarray = level_stance(self.foot_positions(joint_angles), joint_angles, base_to_level)
+        angles = np.ascontiguousarray(joint_angles, np.float64)
+        stance: np.ndarray = level_stance(angles, self._hips, self._side_offsets, self._links, base_to_level)
         return stance
 
     def joint_angles(self, feet: np.ndarray) -> np.ndarray:

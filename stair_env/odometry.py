@@ -34,7 +34,7 @@ class LegOdometry:
 
         Args:
             joint_angles: (12,) canonical, radians.
-            contact: (4,) which feet touch.
+            contact: (4,) bool, which feet touch.
             base_to_level: (3, 3) rotation that takes out pitch and roll.
             yaw_change: heading change since the last call, radians.
             dt: control step, seconds.
@@ -43,9 +43,9 @@ class LegOdometry:
             (3,) m/s in the level frame of this step. Without a foot that stood through the step, the last value.
         """
         stance = self._kinematics.stance(joint_angles, base_to_level)
-        contact = np.asarray(contact, bool)
-        standing = contact & self._last_contact
-        if self._last_stance is not None and standing.any():
-            self._velocity = displacement(self._last_stance, stance, standing, yaw_change, self._radius) / dt
+        if self._last_stance is not None:
+            moved = displacement(self._last_stance, stance, self._last_contact, contact, yaw_change, self._radius)
+            if moved[0] == moved[0]:  # not NaN: a foot stood
+                self._velocity = moved / dt
         self._last_stance, self._last_contact = stance, contact.copy()
         return self._velocity

@@ -11,9 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pybullet
@@ -49,8 +47,7 @@ def has_display() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
-@dataclass(frozen=True)
-class BaseState:
+class BaseState(NamedTuple):
     """Trunk state in the world frame.
 
     Attributes:
@@ -65,14 +62,13 @@ class BaseState:
     velocity: np.ndarray
     angular_velocity: np.ndarray
 
-    @cached_property
+    @property
     def yaw(self) -> float:
         """Heading about world z, radians."""
         return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
 
 
-@dataclass(frozen=True)
-class BaseTrack:
+class BaseTrack(NamedTuple):
     """Trunk states after each of k physics steps.
 
     Attributes:
@@ -92,8 +88,7 @@ class BaseTrack:
         )
 
 
-@dataclass(frozen=True)
-class FootContacts:
+class FootContacts(NamedTuple):
     """Contacts of one control step's last physics step.
 
     Attributes:

@@ -13,6 +13,7 @@ from stair_env.body_kernels import (
     forward_legs,
     inverse_legs,
     level_stance,
+    level_turn,
     trace_trunk,
 )
 from stair_env.imu import sensor_point_velocity, specific_force
@@ -55,12 +56,19 @@ def test_a_foot_out_of_reach_is_pulled_in_along_its_line():
     np.testing.assert_allclose(line[:, 0] / line[:, 1], -0.5, atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_levelling_takes_pitch_and_roll_out_and_leaves_the_heading(seed):
+    yaw, pitch, roll = np.random.default_rng(seed).uniform(-1, 1, 3)
+    base_to_world = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    levelled = Rotation.from_euler("z", yaw).as_matrix() @ level_turn(base_to_world[2].copy())
+    np.testing.assert_allclose(levelled, base_to_world, atol=1e-14)
+
+
 def test_stances_are_seen_without_pitch_and_roll():
-    rng = np.random.default_rng(0)
-    feet, angles, pitch = rng.normal(size=(4, 3)), rng.uniform(-1, 1, 12), 0.3
+    angles, pitch = np.random.default_rng(0).uniform(-1, 1, 12), 0.3
     turn = Rotation.from_euler("y", pitch).as_matrix()
-    stance = level_stance(feet, angles, turn)
-    np.testing.assert_allclose(stance[:, :3], feet @ turn.T, atol=1e-15)
+    stance = level_stance(angles, HIPS, SIDES, LINKS, turn)
+    np.testing.assert_allclose(stance[:, :3], leg_plane_feet(angles) @ turn.T, atol=1e-14)
     np.testing.assert_allclose(stance[:, 3], pitch + angles[1::3] + angles[2::3], atol=1e-15)
 
 
@@ -71,8 +79,11 @@ def test_displacement_is_the_median_of_the_standing_feet(standing):
     turned = before[:, :3] @ Rotation.from_euler("z", yaw_change).as_matrix()
     moved = turned - after[:, :3]
     moved[:, 0] += radius * (after[:, 3] - before[:, 3])
-    found = displacement(before, after, standing, yaw_change, radius)
-    np.testing.assert_allclose(found, np.median(moved[standing], axis=0), atol=1e-15)
+    expected = np.median(moved[standing], axis=0)
+    for touched, touching in ((standing, np.ones(4, bool)), (np.ones(4, bool), standing)):
+        found = displacement(before, after, touched, touching, yaw_change, radius)
+        np.testing.assert_allclose(found, expected, atol=1e-15)
+    assert np.isnan(displacement(before, after, standing, ~standing, yaw_change, radius)).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
