@@ -16,7 +16,7 @@ from stair_env.observation import PRIVILEGED_KEY
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-VEC_KINDS = ("subproc", "dummy", "workers")
+VEC_KINDS = ("auto", "subproc", "dummy", "workers")
 CLIMB_ID = "stair_env/StairClimb-v0"
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
 ENV_IDS = (CLIMB_ID, PERCEPTION_ID)
@@ -66,7 +66,7 @@ def make_vec_env(
     env_kwargs: Mapping[str, Any] | None = None,
     *,
     seed: int = 0,
-    kind: str = "subproc",
+    kind: str = "auto",
 ) -> VecEnv:
     """Build SB3's vector of environments.
 
@@ -75,8 +75,9 @@ def make_vec_env(
         num_envs: how many.
         env_kwargs: keyword arguments, the same for each.
         seed: environment i is seeded with seed + i at its first reset.
-        kind: "subproc" (one process each, started safely from a thread-free server), "dummy" (this process) or
-            "workers" (one process per core, each with its share of the environments; see `stair_env.vector`).
+        kind: "subproc" (one process each, started safely from a thread-free server), "dummy" (this process), "workers"
+            (one process per core, each with its share of the environments; see `stair_env.vector`) or "auto"
+            ("workers" on more than two cores, else "dummy").
 
     Raises:
         ValueError: wrong kind or count, or a keyword argument of the environment is wrong.
@@ -87,6 +88,8 @@ def make_vec_env(
         raise ValueError(f"kind={kind!r} must be one of {', '.join(VEC_KINDS)}")
     if num_envs < 1:
         raise ValueError(f"num_envs={num_envs!r} must be >= 1")
+    if kind == "auto":  # a physics step is shorter than a pipe's round trip
+        kind = "workers" if (os.cpu_count() or 1) > 2 and num_envs > 1 else "dummy"
     venv: VecEnv
     factory = functools.partial(make_env, env_id, dict(env_kwargs or {}))
     if kind == "workers":

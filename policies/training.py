@@ -49,7 +49,7 @@ class TrainingConfig:
         total_timesteps: environment steps over all environments; None takes the file's n_timesteps.
         num_envs: parallel environments; None takes the file's n_envs.
         seed: seed of environments, networks and exploration.
-        vec_kind: "subproc", "dummy" or "workers" (`policies.make_env.make_vec_env`).
+        vec_kind: "auto", "subproc", "dummy" or "workers" (`policies.make_env.make_vec_env`).
         checkpoint_every: environment steps between checkpoints.
         tensorboard: write TensorBoard logs.
         torch_threads: threads of the network's updates.
@@ -66,7 +66,7 @@ class TrainingConfig:
     total_timesteps: int | None = None
     num_envs: int | None = None
     seed: int = 0
-    vec_kind: str = "subproc"
+    vec_kind: str = "auto"
     checkpoint_every: int = 50_000
     tensorboard: bool = False
     torch_threads: int = 1

@@ -40,9 +40,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
     parser.add_argument(
         "--vec",
-        choices=("subproc", "dummy", "workers"),
-        default="subproc",
-        help="a process each, one process for all, or a process per core (%(default)s)",
+        choices=("auto", "subproc", "dummy", "workers"),
+        default="auto",
+        help="a process each, one process for all, a process per core, or what suits the cores (%(default)s)",
     )
     parser.add_argument(
         "--hyperparams", metavar="FILE", help="YAML file in rl_zoo3's layout instead of the shipped one"

@@ -55,7 +55,7 @@ def test_only_the_proprioception_is_normalised() -> None:
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        ({"kind": "threads"}, "kind='threads'.*subproc, dummy"),
+        ({"kind": "threads"}, "kind='threads'.*auto, subproc, dummy"),
         ({"num_envs": 0}, "num_envs=0"),
         ({"env_kwargs": {"robot": "cat"}}, "robot='cat'.*aliengo"),
     ],
