@@ -17,7 +17,7 @@ from perception.baselines.base import GridDetector, LineBackend, LineDetector
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.baselines.paper_figure import compare, exemplary_frames
 from perception.baselines.paper_tables import PAPER_TABLES, Scores, table_notes, table_rows
-from perception.baselines.regions import SCORES, RegionScore, RememberedRegions, choose_least_score
+from perception.baselines.regions import SCORES, RememberedRegions, choose_least_score
 from perception.baselines.roi import RegionFinder, RoiClassicalDetector
 from perception.baselines.roi_network import RoiNetwork
 from perception.baselines.runs import LEARNED_ROWS, Run, load_run, train_missing
@@ -33,6 +33,7 @@ from stair_env.provenance import atomic_path
 
 TIMED_FRAMES = 20
 SCORES_FILE = "test_scores.json"
+REGION_SIZES_PX = (512, 256)  # the sizes of frames that the region detector was trained on
 REMARK = (
     "Learned rows: width {width:g}, from scratch, {epochs} epochs of {frames} frames (the first {small} at half size), "
     "equal in frames, order, schedule and augmentation. The paper trained 200 epochs of 2388 frames and scored its own "
@@ -155,9 +156,8 @@ class PaperSuite:
         network = load_run(run)
         name = f"{run.row}, seed {run.seed}"
         if isinstance(network, RoiNetwork):
-            region, result = tuned_within_regions(network, self._tuning_frames, self.plan, self._progress)
-            self.tuning[f"roi_classical, seed {run.seed}"] = {"regions": asdict(region), **_search_report(result)}
-            detector = RoiClassicalDetector(RegionFinder(network, region.least_score), result.parameters)
+            detector, found = tuned_within_regions(network, self._tuning_frames, self.plan, self._progress)
+            self.tuning[f"roi_classical, seed {run.seed}"] = found
             self._add("roi_classical", self._score(LineBackend(detector), name), detector, detector)
             return
         backend: Backend
@@ -199,17 +199,26 @@ def _one_pair(backend: Backend, rgb: np.ndarray, depth_m: np.ndarray) -> Any:
 
 def tuned_within_regions(
     network: RoiNetwork, frames: Sequence[Sample], plan: SuitePlan, progress: Progress
-) -> tuple[RegionScore, TuningResult]:
-    """The least score of a region, then the classical parameters inside regions, both on validation frames."""
-    regions = RememberedRegions(RegionFinder(network, min(SCORES)), frames)
-    chosen = choose_least_score(regions.found, frames)
+) -> tuple[RoiClassicalDetector, dict[str, Any]]:
+    """Size and least score of regions, then the classical parameters inside them, all on validation frames.
+
+    Returns:
+        The detector, and what was found, JSON-able.
+    """
+    choices = []
+    for size_px in REGION_SIZES_PX:  # the first of equal ones stays
+        regions = RememberedRegions(RegionFinder(network, min(SCORES), size_px), frames)
+        choices.append((choose_least_score(regions.found, frames), size_px, regions))
+    chosen, size_px, regions = max(choices, key=lambda choice: (choice[0].right, choice[0].mean_iou))
     regions.least_score = chosen.least_score
 
     def make(parameters: ClassicalParameters) -> LineDetector:
         return RoiClassicalDetector(regions, parameters)
 
     bar = functools.partial(progress, description="tuning inside regions")
-    return chosen, tune(frames, np.random.default_rng(plan.seeds[0]), plan.trials, make=make, progress=bar)
+    result = tune(frames, np.random.default_rng(plan.seeds[0]), plan.trials, make=make, progress=bar)
+    report = {"regions": asdict(chosen) | {"size_px": size_px}, **_search_report(result)}
+    return RoiClassicalDetector(RegionFinder(network, chosen.least_score, size_px), result.parameters), report
 
 
 def _search_report(result: TuningResult) -> dict[str, Any]:

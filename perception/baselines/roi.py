@@ -49,16 +49,22 @@ class RegionFinder:
     Args:
         network: trained; it is copied, batch norm folded.
         least_score: of a box.
+        size_px: side of the image that the network sees, a multiple of 32; boxes are in pixels of the given image.
+
+    Raises:
+        ValueError: an argument is out of range.
     """
 
-    def __init__(self, network: RoiNetwork, least_score: float) -> None:
+    def __init__(self, network: RoiNetwork, least_score: float, size_px: int = IMAGE_SIZE) -> None:
         import torch
 
         from perception.folding import folded
 
         if not 0.0 < least_score < 1.0:
             raise ValueError(f"least_score={least_score!r} must lie between 0 and 1")
-        self.least_score = least_score
+        if size_px < 32 or size_px % 32:
+            raise ValueError(f"size_px={size_px!r} must be a multiple of 32")
+        self.least_score, self.size_px = least_score, size_px
         self._network = folded(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
@@ -72,8 +78,9 @@ class RegionFinder:
         """
         import torch
 
+        seen = rgb if len(rgb) == self.size_px else cv2.resize(rgb, (self.size_px,) * 2, interpolation=cv2.INTER_AREA)
         with torch.inference_mode():
-            image = torch.from_numpy(colour_input(rgb[None])).to(memory_format=torch.channels_last)
+            image = torch.from_numpy(colour_input(seen[None])).to(memory_format=torch.channels_last)
             found = self._network(image)[0].numpy().astype(np.float64)
         return suppress(found * np.array([*[rgb.shape[1], rgb.shape[0]] * 2, 1.0]), self.least_score)
 

@@ -159,9 +159,10 @@ def test_remembered_regions_are_found_once():
 def test_tuning_inside_regions_needs_no_good_regions(data, tmp_path):
     torch.manual_seed(0)
     plan = SuitePlan(data, tmp_path, TINY, trials=2)
-    region, result = tuned_within_regions(RoiNetwork(0.25).eval(), [frame(LINES)] * 2, plan, lambda x, **_: iter(x))
-    assert 0.0 < region.least_score < 1.0
-    assert result.trials == 2
+    detector, found = tuned_within_regions(RoiNetwork(0.25).eval(), [frame(LINES)] * 2, plan, lambda x, **_: iter(x))
+    assert detector(frame(LINES).rgb, frame(LINES).depth_m).shape == (0, 4)
+    assert 0.0 < found["regions"]["least_score"] < 1.0
+    assert found["trials"] == 2
 
 
 def test_detectors_are_timed_by_turns():

@@ -144,6 +144,20 @@ def test_a_finder_refuses_a_score_out_of_range():
         RegionFinder(RoiNetwork(0.25), 1.0)
 
 
+def test_the_size_that_the_network_sees_does_not_change_the_unit():
+    torch.manual_seed(0)
+    rgb = np.random.default_rng(0).integers(0, 255, (512, 512, 3)).astype(np.uint8)
+    network = RoiNetwork(0.25).eval()
+    with torch.no_grad():
+        for head in network.heads:
+            head.bias.view(3, 5)[:, 4] = 3.0  # everything is found
+    for size_px in (512, 256):
+        found = RegionFinder(network, 0.5, size_px)(rgb)
+        assert found[:, 2].max() > 450.0, size_px
+    with pytest.raises(ValueError, match="size_px"):
+        RegionFinder(network, 0.5, 100)
+
+
 def test_lines_are_found_inside_the_region_only(rng):
     rgb, lines = picture_with_distractor(rng)
     sample = Sample(rgb, NO_DEPTH, np.zeros(len(lines), np.int64), lines)
