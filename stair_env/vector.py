@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 import stair_env
+from stair_env.info_batch import FINAL_OBSERVATION, batch_infos
 from stair_env.stairs import check_choice
 from stair_env.worker_process import EnvFactory, StepInfo
 from stair_env.workers import WorkerPool
@@ -101,11 +102,9 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         options = None if options is None else dict(options)
         mask = self._reset_mask(None if options is None else options.pop(RESET_MASK, None))
         indices = np.flatnonzero(mask).tolist()
-        infos: dict[str, Any] = {}
-        for index, info in self._pool.reset({i: (seeds[i], options) for i in indices}).items():
-            infos = self._add_info(infos, info, index)
+        infos = self._pool.reset({i: (seeds[i], options) for i in indices})
         self._ended[mask] = False
-        return self._observation(), infos
+        return self._observation(), batch_infos(infos, self.num_envs)
 
     def step(self, actions: np.ndarray) -> VectorStep:
         """One control step of each environment.
@@ -129,10 +128,7 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
 
     def step_wait(self) -> VectorStep:
         """The results of the step that `step_async` began."""
-        results = self._pool.finish_step()
-        infos: dict[str, Any] = {}
-        for index, result in enumerate(results):
-            infos = self._add_step_info(infos, result, index)
+        infos = batch_infos(dict(enumerate(map(_step_info, self._pool.finish_step()))), self.num_envs)
         pool = self._pool
         terminated, truncated = pool.terminated.copy(), pool.truncated.copy()
         self._ended = terminated | truncated
@@ -181,12 +177,6 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         shared = self._pool.observation
         return {key: value.copy() for key, value in shared.items()} if self._copy else dict(shared)
 
-    def _add_step_info(self, infos: dict[str, Any], result: StepInfo, index: int) -> dict[str, Any]:
-        if result.final_info is not None:
-            final = {"final_obs": result.final_observation, "final_info": result.final_info}
-            infos = self._add_info(infos, final, index)
-        return self._add_info(infos, result.info, index)
-
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
@@ -204,6 +194,13 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         if not mask.any():
             raise ValueError(f"option {RESET_MASK}={mask!r} must choose at least one environment")
         return mask
+
+
+def _step_info(result: StepInfo) -> dict[str, Any]:
+    """One environment's infos with, where an episode ended within the step, the last observation and info of it."""
+    if result.final_info is None:
+        return result.info
+    return {FINAL_OBSERVATION: result.final_observation, "final_info": result.final_info, **result.info}
 
 
 def make_climb_vec(num_envs: int = 1, **kwargs: Any) -> WorkerVectorEnv:
