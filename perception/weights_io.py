@@ -102,6 +102,29 @@ def load_weights(path: str | Path, width: float, fusion_stage: int = 2) -> Stair
     return network.eval()
 
 
+def load_starting_point(path: str | Path, width: float, fusion_stage: int = 2, seed: int = 0) -> StairNetV2:
+    """A network to train on, from a file of its own width or of a narrower one, which is widened.
+
+    Args:
+        path: safetensors file.
+        width: of the network wanted.
+        fusion_stage: of both.
+        seed: of the noise that tells a widened network's twins apart.
+
+    Raises:
+        WeightsError: the file is missing, no safetensors, or of no such network.
+    """
+    from perception.widening import widened
+
+    reason = WeightsError(f"{path}: no widths to try")
+    for candidate in sorted((w for w in WIDTHS if w <= width), reverse=True):
+        try:
+            return widened(load_weights(path, candidate, fusion_stage), width, seed=seed)
+        except WeightsError as error:
+            reason = error
+    raise WeightsError(f"{path}: not the weights of width={width} or of a narrower one") from reason
+
+
 def save_weights(network: StairNetV2, folder: Path, card: dict[str, Any]) -> tuple[Path, ...]:
     """Write safetensors, onnx and model card of a network; each file appears whole or not at all.
 

@@ -32,7 +32,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--fusion-stage", type=int, choices=(2, 3, 4), default=2, help="down-samplings before fusion (%(default)s)"
     )
     parser.add_argument("--fixed-weights", action="store_true", help="equation 1 instead of dynamic loss weights")
-    parser.add_argument("--start-from", type=Path, metavar="FILE", help="begin with weights (safetensors)")
+    parser.add_argument(
+        "--start-from",
+        type=Path,
+        metavar="FILE",
+        help="begin with weights (safetensors), of a narrower network too: it is widened",
+    )
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in --output")
     parser.add_argument("--workers", type=int, default=0, help="processes that read frames (%(default)s)")
     parser.add_argument("--threads", type=positive_int, help="threads of torch (all cores)")
@@ -49,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     import torch
 
     from perception.training import PRESETS, FrameModule, StairNetTraining, train
-    from perception.weights_io import load_weights, save_weights
+    from perception.weights_io import load_starting_point, save_weights
     from stair_env.provenance import provenance
 
     if args.threads:
@@ -63,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers)
     module = StairNetTraining(float(args.width), preset, args.fusion_stage)
     if args.start_from:
-        source = load_weights(args.start_from, float(args.width), args.fusion_stage)
+        source = load_starting_point(args.start_from, float(args.width), args.fusion_stage, args.seed)
         module.network.load_state_dict(source.state_dict())
     train(module, frames, args.output, resume=args.resume)
     metrics = {name: round(float(value), 4) for name, value in module.trainer.callback_metrics.items()}
