@@ -57,7 +57,7 @@ def test_a_narrower_file_is_a_starting_point_and_a_wider_one_is_not(tmp_path):
     save_file(StairNetV2(0.5).state_dict(), wide)
     assert load_starting_point(path, 0.25).width == 0.25
     assert load_starting_point(path, 0.5).width == 0.5
-    with pytest.raises(WeightsError, match="not the weights of width=0.25 or of a narrower one"):
+    with pytest.raises(WeightsError, match=r"not the weights of width=0\.25 or of a narrower one"):
         load_starting_point(wide, 0.25)
     with pytest.raises(WeightsError, match="narrower"):
         load_starting_point(tmp_path / "nothing.safetensors", 0.5)
