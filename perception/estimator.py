@@ -24,6 +24,7 @@ LOGGER = logging.getLogger(__name__)
 METHODS = ("planes", "paper")
 WIDTHS = (1.0, 0.5, 0.25)
 BACKENDS = ("onnx", "torch")
+WEAK_SCORE_THRESHOLD = 0.3  # of cells that count if depth shows an edge there: coverage 85 % -> 90 % going up
 MIN_GRAVITY = 1e-3  # m/s^2: less is no direction
 MAX_INTRINSICS_MISMATCH_PX = 0.5
 
@@ -53,7 +54,8 @@ class StairEstimator:
         backend: "onnx" (fast on CPUs) or "torch".
         detector: used instead of the network when given (an ideal detector in tests, a model of your own).
         method: "planes" (default: fits treads and risers) or "paper" (equations 7 to 9).
-        threshold: least class score of a cell.
+        threshold: least class score of a cell; None: the paper's for its method, and less for "planes", where depth
+            has to confirm what is less than certain.
         omega_m: smallest width and height that counts as a step; the paper's threshold.
         gravity_std_rad: how far the given gravity direction is trusted.
 
@@ -68,7 +70,7 @@ class StairEstimator:
         *,
         detector: Detector | None = None,
         method: Method = "planes",
-        threshold: float = SCORE_THRESHOLD,
+        threshold: float | None = None,
         omega_m: float = OMEGA_M,
         gravity_std_rad: float = GRAVITY_STD_RAD,
     ) -> None:
@@ -78,7 +80,8 @@ class StairEstimator:
             raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
         self._detector = detector if detector is not None else _load_network(width, backend)
         self._method = method
-        self._threshold = threshold
+        usual = SCORE_THRESHOLD if method == "paper" else WEAK_SCORE_THRESHOLD
+        self._threshold = usual if threshold is None else threshold
         self._omega_m = omega_m
         self._gravity_std_rad = gravity_std_rad
 

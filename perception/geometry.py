@@ -15,14 +15,16 @@ import numpy as np
 
 from perception.drops import locate_drops
 from perception.estimate import Nosing, StepMeasurement
-from perception.faces import Faces, LineViews, Strips, fit_faces, sample_strips
-from perception.missing_lines import find_missing_lines
+from perception.faces import Faces, LineViews, fit_faces, sample_strips
+from perception.line_check import CheckedLines, check_lines
 from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
 OMEGA_M = 0.05  # the paper's threshold: smaller widths and heights are noise of one and the same face
 MIN_SUPPORT = 2  # cell predictions behind a line
-LINE_JITTER_PX = 0.5  # of a whole detected line, in pixels of the 512 x 512 image
+MIN_CONFIRMED = {1: 2, -1: 1}  # lines that both the detector and depth show; the last step down has a single one
+LINE_JITTER_PX = 0.4  # of a whole detected line, in pixels of the 512 x 512 image
+PIECE_JITTER_PX = 4.0  # of one cell's prediction, added to it over the number of cells: measured on 336 frames
 GRAVITY_STD_RAD = math.radians(0.7)  # fused attitude on a walking robot, with some margin
 DROP_JITTER_PX = 0.4  # of a line that both the detector and depth have placed
 DROP_SHARE = 0.4  # of depth in that place, where the two agree
@@ -148,22 +150,26 @@ def measure_stairs(
     yaw = yaw_from_lines(normals @ level.T, lengths)
     if abs(yaw) > MAX_YAW_RAD:
         return Geometry(kinds=unknown, reason="the lines run away from the camera")
-    chosen, views, faces = _fit_with_missing_lines(
-        chosen, depth_m, intrinsics, level_to_stair(yaw) @ level, gravity_std_rad
-    )
+    guess = level_to_stair(yaw) @ level
+    checked = check_lines(chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
+    chosen = checked.lines
+    if len(chosen) == 0:
+        return Geometry(kinds=unknown, reason="depth shows no edge where the lines are")
+    views, faces = _fit(checked, depth_m, intrinsics, guess, gravity_std_rad)
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
         return Geometry(kinds=unknown, reason="no height differences between the lines")
+    if checked.confirmed.sum() < MIN_CONFIRMED[direction]:
+        return Geometry(kinds=unknown, reason="depth confirms too few of the lines")
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
     nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
     kinds = list(unknown)
-    detected = np.cumsum(chosen[:, 6] > 0.0) - 1
     for index, kind in edge_kinds.items():
-        if chosen[index, 6] > 0.0:
-            kinds[used[detected[index]]] = kind
+        if checked.source[index] >= 0:
+            kinds[used[checked.source[index]]] = kind
     return Geometry(
         direction,
         nosings,
@@ -175,26 +181,16 @@ def measure_stairs(
     )
 
 
-def _fit_with_missing_lines(
-    lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, guess: np.ndarray, gravity_std_rad: float
-) -> tuple[np.ndarray, LineViews, Faces]:
-    """Faces between (m, 8) lines, nearest first, and between those that the faces show to be missing (score 0)."""
+def _fit(
+    checked: CheckedLines, depth_m: np.ndarray, intrinsics: Intrinsics, guess: np.ndarray, gravity_std_rad: float
+) -> tuple[LineViews, Faces]:
+    """Faces between lines."""
+    lines = checked.lines
     pixel = max(intrinsics.width, intrinsics.height) / 512.0
-
-    def fit(lines: np.ndarray, rotation: np.ndarray) -> tuple[Strips, LineViews, Faces]:
-        strips = sample_strips(lines, depth_m, intrinsics)
-        jitter_px = np.where(lines[:, 6] > 0.0, LINE_JITTER_PX, MISSING_LINE_JITTER_PX) * pixel
-        views = _line_views(lines, intrinsics, jitter_px)
-        return strips, views, fit_faces(strips, rotation, views, gravity_std_rad)
-
-    strips, views, faces = fit(lines, guess)
-    missing = find_missing_lines(strips, faces, lines, _thickness(lines, intrinsics), intrinsics, MIN_SUPPORT)
-    if len(missing) == 0:
-        return lines, views, faces
-    lines = np.concatenate([lines, missing])
-    lines = lines[np.argsort(-_height_at_middle(lines), kind="stable")]
-    _, views, faces = fit(lines, guess)
-    return lines, views, faces
+    measured_px = np.hypot(LINE_JITTER_PX, PIECE_JITTER_PX / np.maximum(lines[:, 7], 1.0))
+    jitter_px = np.where(checked.source >= 0, measured_px, MISSING_LINE_JITTER_PX) * pixel
+    views = _line_views(lines, intrinsics, jitter_px, checked.own_length)
+    return views, fit_faces(sample_strips(lines, depth_m, intrinsics), guess, views, gravity_std_rad)
 
 
 def _thickness(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -221,22 +217,26 @@ def _sharpen(
     share = np.where(np.abs(drops.offset_px) < MAX_DISAGREEMENT_PX * pixel, DROP_SHARE, 1.0)
     moved = low.copy()
     moved[:, 5] -= np.where(drops.found, share * drops.offset_px, 0.0)
-    at_drop = _line_views(moved, intrinsics, DROP_JITTER_PX * pixel).slopes(faces.camera_to_stair)
+    at_drop = _line_views(moved, intrinsics, DROP_JITTER_PX * pixel, moved[:, 2] - moved[:, 0])
+    slope_at_drop = at_drop.slopes(faces.camera_to_stair)
     value, std = slopes[0].copy(), slopes[1].copy()
     index = section.line[treads]
-    value[index] = np.where(drops.found, at_drop[0], value[index])
-    std[index] = np.where(drops.found, at_drop[1], UNCONFIRMED_FACTOR * std[index])
+    value[index] = np.where(drops.found, slope_at_drop[0], value[index])
+    std[index] = np.where(drops.found, slope_at_drop[1], UNCONFIRMED_FACTOR * std[index])
     return value, std
 
 
-def _line_views(lines: np.ndarray, intrinsics: Intrinsics, jitter_px: np.ndarray | float) -> LineViews:
-    """Viewing planes and middle rays of (m, 8) lines whose place in the image is uncertain by jitter_px."""
+def _line_views(
+    lines: np.ndarray, intrinsics: Intrinsics, jitter_px: np.ndarray | float, own_length: np.ndarray
+) -> LineViews:
+    """Viewing planes and middle rays of (m, 8) lines whose place in the image is uncertain by jitter_px, and whose
+    direction was seen over own_length (m,) pixels."""
     x = (lines[:, 0] + lines[:, 2]) / 2.0
     y = lines[:, 4] * x + lines[:, 5]
     rays = np.stack([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, np.ones_like(x)], axis=1)
     jittered = rays.copy()
     jittered[:, 1] += jitter_px / intrinsics.fy
-    direction_std = jitter_px * 2.5 / np.maximum(lines[:, 2] - lines[:, 0], 1.0)  # sqrt(12 / 2): a line of many cells
+    direction_std = jitter_px * 2.5 / np.maximum(own_length, 1.0)  # sqrt(12 / 2): a line of many cells
     return LineViews(line_normals(lines, intrinsics), direction_std, rays, jittered)
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from perception.estimate import Nosing, StepMeasurement
 from perception.face_kinds import RISER, TREAD, UNKNOWN
 from perception.faces import Faces, LineViews
+from perception.line_check import MAX_RISER_M, MAX_TREAD_M
 
 DOWN, UP = -1, 1
-MAX_RISER_M, MAX_TREAD_M = 0.25, 0.50  # larger is no stair
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 MAX_HIDDEN_RUN_M = 0.45  # of the tread below a nosing; when more is out of sight, a whole step may be

@@ -190,11 +190,14 @@ class StairTracker:
             return False
         pose = self._odometry.pose_at(captured_at_s)
         heading = pose.heading + camera.heading_rad + estimate.yaw_rad
-        if self._direction == 0 or self._starts_another_flight(estimate):
+        starts = self._direction == 0 or self._starts_another_flight(estimate)
+        if starts and not _shows_a_flight(nosings):
+            return False
+        if starts:
             self._forget()
         elif not self._agrees(estimate, heading, pose, camera):
             self._rejected += 1
-            if self._rejected < self.config.frames_to_reset:
+            if self._rejected < self.config.frames_to_reset or not _shows_a_flight(nosings):
                 return False
             self._forget()
         self._rejected = 0
@@ -294,6 +297,13 @@ class StairTracker:
         tread_std = min(self._map.tread.std_at(index), 0.03)
         spread = (place_std / 0.03) ** 2 + (riser_std / 0.02) ** 2 + (tread_std / 0.03) ** 2
         return float(seen * math.exp(-age_s / self.config.max_age_s) / (1.0 + spread))
+
+
+def _shows_a_flight(nosings: tuple[Nosing, ...]) -> bool:
+    """Whether more than a single riser is seen: one alone is a box, a kerb, a skirting board as well as a stair."""
+    return sum(nosing.riser_m is not None for nosing in nosings) > 1 or any(
+        nosing.riser_m is not None and nosing.tread_m is not None for nosing in nosings
+    )
 
 
 def _wrap(angle: float) -> float:
