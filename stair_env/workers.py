@@ -13,7 +13,7 @@ import signal
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from typing import Any, NoReturn
@@ -25,6 +25,7 @@ from gymnasium.vector.utils import CloudpickleWrapper
 from stair_env.observation import STAIR_FIELDS
 from stair_env.shared_arrays import ArrayLayout, SharedArrays
 from stair_env.stairs import check_choice
+from stair_env.watch import Watch
 from stair_env.worker_process import (
     OBSERVATION,
     STAIRS,
@@ -90,6 +91,7 @@ class WorkerPool:
         self.terminated, self.truncated = views["terminated"], views["truncated"]
         self._processes: list[BaseProcess] = []
         self._connections: list[Connection] = []
+        self._watch = Watch()
         self.shares = _shares(self.num_envs, _worker_count(workers, self.num_envs))
         # The finalizer knows the lists and not the pool, so that a pool nobody holds any more ends its processes.
         self._finalizer = weakref.finalize(self, _end, os.getpid(), self._processes, self._connections)
@@ -211,6 +213,8 @@ class WorkerPool:
         theirs.close()
         self._processes.append(process)
         self._connections.append(ours)
+        self._watch.add(ours)
+        self._watch.add(process.sentinel)
 
     def _ask(
         self, indices: Sequence[int], command: str, arguments: Callable[[list[int]], tuple[Any, ...]]
@@ -241,19 +245,17 @@ class WorkerPool:
         answers: dict[int, Any] = {}
         deadline = time.monotonic() + self._timeout_s
         while len(answers) < len(workers):
-            waiting = [worker for worker in workers if worker not in answers]
-            lines = {self._connections[worker]: worker for worker in waiting}
-            ends = {self._processes[worker].sentinel: worker for worker in waiting}
-            ready = wait([*lines, *ends], DEATH_CHECK_S)
+            ready = self._watch.ready(DEATH_CHECK_S)
             if not ready and time.monotonic() > deadline:
-                self._break(f"{self._name(waiting[0])} has not answered for {self._timeout_s:g} s ({doing})")
-            for line in lines.keys() & ready:
-                number, answer = self._receive(lines[line], doing)
-                if number == self._number:
-                    answers[lines[line]] = answer
-            for end in ends.keys() & ready:
-                if ends[end] not in answers and not self._connections[ends[end]].poll():
-                    self._report_death(ends[end], doing)
+                late = next(worker for worker in workers if worker not in answers)
+                self._break(f"{self._name(late)} has not answered for {self._timeout_s:g} s ({doing})")
+            for worker, (connection, process) in enumerate(zip(self._connections, self._processes)):
+                if connection in ready:
+                    number, answer = self._receive(worker, doing)
+                    if number == self._number:
+                        answers[worker] = answer
+                elif process.sentinel in ready and worker not in answers:
+                    self._report_death(worker, doing)
         self._raise_failure(answers, doing)
         return answers
 
