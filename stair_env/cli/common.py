@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
@@ -45,6 +46,17 @@ def seed_value(text: str) -> int:
 def positive_int(text: str) -> int:
     """Parse a whole number >= 1."""
     return _whole_number(text, minimum=1)
+
+
+def positive_float(text: str) -> float:
+    """Parse a finite number > 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number > 0")
+    return value
 
 
 def seed_list(text: str) -> tuple[int, ...]:

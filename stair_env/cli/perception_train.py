@@ -8,7 +8,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, limit_threads, positive_int, write_json
+from stair_env.cli.common import add_common_arguments, limit_threads, positive_float, positive_int, write_json
 
 PRESET_NAMES = ("fast", "paper")
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
@@ -28,6 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--preset", choices=PRESET_NAMES, default="fast", help="schedule (%(default)s)")
     parser.add_argument("--epochs", type=positive_int, help="instead of the preset's")
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
+    parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
     parser.add_argument(
         "--fusion-stage", type=int, choices=(2, 3, 4), default=2, help="down-samplings before fusion (%(default)s)"
     )
@@ -60,7 +61,11 @@ def run(args: argparse.Namespace) -> int:
     if args.threads:
         torch.set_num_threads(args.threads)
     lightning.seed_everything(args.seed, verbose=False)
-    chosen: dict[str, Any] = {"epochs": args.epochs, "frames_per_epoch": args.frames_per_epoch}
+    chosen: dict[str, Any] = {
+        "epochs": args.epochs,
+        "frames_per_epoch": args.frames_per_epoch,
+        "learning_rate": args.learning_rate,
+    }
     chosen = {name: value for name, value in chosen.items() if value}
     if args.fixed_weights:
         chosen["dynamic_weights"] = False
@@ -78,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
         "fusion_stage": args.fusion_stage,
         "preset": args.preset,
         "training": dataclasses.asdict(preset),
+        "started_from": args.start_from.name if args.start_from else None,
         "data": str(args.data.name),
         "metrics": metrics,
         **provenance(args.seed),
