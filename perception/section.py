@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from perception.line_check import MAX_RISER_M, MAX_TREAD_M
 DOWN, UP = -1, 1
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
+UNEVENNESS_STD_M = 0.012  # of the steps of one flight: old stairs; codes allow 9.5 mm between largest and smallest
 MAX_HIDDEN_RUN_M = 0.45  # of the tread below a nosing; when more is out of sight, a whole step may be
 MAX_SLIVER_PX = 8.0  # an unexplained strip thinner than this lies between two lines of one edge
 MAX_MISS_STD = 4.0  # a line that misses the corner of its faces by more is no edge of both
@@ -193,7 +195,7 @@ def read_nosings(
             kinds[line] = "concave"
     pitch_std = math.sqrt(float(faces.angle_cov[1, 1]))
     finished = [_finish(section, direction, edges, index, pitch_std, omega_m) for index in range(len(edges))]
-    return _drop_strangers(finished), kinds
+    return _steady(_drop_strangers(finished)), kinds
 
 
 def _drop_strangers(nosings: list[Nosing]) -> tuple[Nosing, ...]:
@@ -214,6 +216,29 @@ def _drop_strangers(nosings: list[Nosing]) -> tuple[Nosing, ...]:
             for n in kept
         ]
     return tuple(kept)
+
+
+def _steady(nosings: tuple[Nosing, ...]) -> tuple[Nosing, ...]:
+    """Let steps that are badly seen lean on those that are well seen: lengths of one flight differ by little.
+
+    The mean of a flight's lengths, which differ by UNEVENNESS_STD_M, is a second opinion on each of them.
+    """
+    steadied = list(nosings)
+    for name in ("riser", "tread"):
+        known = [index for index, nosing in enumerate(nosings) if getattr(nosing, f"{name}_m") is not None]
+        if len(known) < 2:
+            continue
+        lengths = np.array([getattr(nosings[index], f"{name}_m") for index in known])
+        variances = np.array([getattr(nosings[index], f"{name}_std_m") for index in known]) ** 2
+        usual_variance = variances + UNEVENNESS_STD_M**2
+        usual = float(np.average(lengths, weights=1.0 / usual_variance))
+        share = variances / usual_variance
+        lengths = lengths + share * (usual - lengths)
+        stds = np.sqrt(variances * (1.0 - share) + share**2 / (1.0 / usual_variance).sum())
+        for index, length, std in zip(known, lengths.tolist(), stds.tolist()):
+            changes: dict[str, Any] = {f"{name}_m": length, f"{name}_std_m": std}
+            steadied[index] = replace(steadied[index], **changes)
+    return tuple(steadied)
 
 
 def _without(nosing: Nosing, name: str) -> Nosing:
