@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 FINAL_OBSERVATION = "final_obs"  # Gymnasium keeps these as they are, one object per environment
+PLAIN_NUMBERS = (float, int, bool)
 
 
 def batch_infos(infos: Mapping[int, dict[str, Any]], num_envs: int) -> dict[str, Any]:
@@ -22,33 +23,39 @@ def batch_infos(infos: Mapping[int, dict[str, Any]], num_envs: int) -> dict[str,
         num_envs: length of the arrays.
     """
     indices, rows = list(infos), list(infos.values())
+    if len(rows) == num_envs and len({tuple(row) for row in rows}) == 1:  # the rule: all say the same things
+        return _uniform(rows)
     batch: dict[str, Any] = {}
-    if len({tuple(row) for row in rows}) == 1:  # the rule: all say the same things
-        for key, *values in zip(rows[0], *(row.values() for row in rows)):
-            _add(batch, key, indices, values, num_envs)
-        return batch
     for key in {key: None for row in rows for key in row}:
         having = [index for index in indices if key in infos[index]]
-        _add(batch, key, having, [infos[index][key] for index in having], num_envs)
+        batch[key] = _column(key, having, [infos[index][key] for index in having], num_envs)
+        mask = batch[f"_{key}"] = np.zeros(num_envs, bool)
+        mask[having] = True
     return batch
 
 
-def _add(batch: dict[str, Any], key: str, indices: list[int], values: Sequence[Any], num_envs: int) -> None:
-    """Add one key and its mask."""
-    batch[key] = _column(key, indices, values, num_envs)
-    mask = batch[f"_{key}"] = np.zeros(num_envs, bool)
-    mask[slice(None) if len(indices) == num_envs else indices] = True
+def _uniform(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Batch the infos of all environments, which have the same keys; arrays of one kind are rows of one array."""
+    columns = dict(zip(rows[0], zip(*(row.values() for row in rows))))
+    masks = np.ones((len(columns), len(rows)), bool)
+    batch: dict[str, Any] = {f"_{key}": mask for key, mask in zip(columns, masks)}
+    for kind in PLAIN_NUMBERS:
+        keys = [key for key, values in columns.items() if type(values[0]) is kind]
+        if keys:
+            batch.update(zip(keys, np.array([columns[key] for key in keys], kind)))
+    for key, values in columns.items():
+        if key not in batch:
+            batch[key] = _column(key, range(len(rows)), values, len(rows))
+    return batch
 
 
-def _column(key: str, indices: list[int], values: Sequence[Any], num_envs: int) -> Any:
+def _column(key: str, indices: Sequence[int], values: Sequence[Any], num_envs: int) -> Any:
     first = values[0]
     if key == FINAL_OBSERVATION:
         column = np.full(num_envs, None, object)
     elif isinstance(first, dict):
         return batch_infos(dict(zip(indices, values)), num_envs)
-    elif type(first) in (int, float, bool) or isinstance(first, np.number):
-        if len(indices) == num_envs:
-            return np.array(values, type(first))
+    elif type(first) in PLAIN_NUMBERS or isinstance(first, np.number):
         column = np.zeros(num_envs, type(first))
     elif isinstance(first, np.ndarray):
         column = np.zeros((num_envs, *first.shape), first.dtype)
