@@ -198,9 +198,9 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._next_push_s = self._draw_push_time()
         self._energy = 0.0
 
-    def _open_simulation(self) -> Simulation:
-        """Hook for environments whose renderer must be there before the first body is."""
-        return Simulation(self.robot, gui=self.render_mode == "human")
+    def _open_simulation(self, visible: bool = False) -> Simulation:
+        """Hook for environments whose camera draws with Bullet's renderers (visible) or needs them to be there first."""
+        return Simulation(self.robot, self.render_mode == "human", visible or self.render_mode is not None)
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         """Hook for environments with cameras, whose worlds have surroundings."""

@@ -62,8 +62,8 @@ class StairClimbRgbdEnv(StairClimbEnv):
         self._camera_to_base = mount_to_base(self.robot.camera)
         self._scene_sampler = SceneSampler(lighting=self.lighting)  # type: ignore[arg-type]
 
-    def _open_simulation(self) -> Simulation:
-        sim = super()._open_simulation()
+    def _open_simulation(self, visible: bool = False) -> Simulation:
+        sim = super()._open_simulation(visible or self.camera_config.renderer != "raycast")
         if self.camera_config.renderer == "egl":
             load_egl(sim.client)
         return sim

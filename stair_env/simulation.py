@@ -108,13 +108,16 @@ class Simulation:
     Args:
         robot: which robot.
         gui: open Bullet's window instead of running headless.
+        visible: load what Bullet's own renderers draw. Without it an episode begins four times sooner, and the
+            ray-caster, which looks at collision shapes, sees as much.
     """
 
-    def __init__(self, robot: RobotSpec, gui: bool = False) -> None:
+    def __init__(self, robot: RobotSpec, gui: bool = False, visible: bool = True) -> None:
         self.robot = robot
         self._gui = gui and has_display()
         if gui and not self._gui:
             _LOGGER.warning("no display (DISPLAY is not set): the simulation runs without a window")
+        self._visible = visible or self._gui
         self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
         self.body = -1
         self.ground: list[int] = []
@@ -133,7 +136,8 @@ class Simulation:
     def build(self, shapes: Sequence[Shape], friction: float) -> None:
         """Start an empty world, put the solids in and load the robot far above them.
 
-        A fresh world costs 15 ms an episode and is what makes an episode independent of those before it.
+        A fresh world costs 5 ms an episode (20 ms if it is visible) and is what makes an episode independent of those
+        before it. A robot whose collision shapes are meshes costs more: 25 ms for Laikago, 280 ms for Mini Cheetah.
 
         Args:
             shapes: solids of the scene; the ones that do not collide are drawn only.
@@ -146,7 +150,8 @@ class Simulation:
         client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
         client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self.ground = [self._add_shape(shape, friction) for shape in shapes]
-        self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES)
+        drawn = pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES if self._visible else pybullet.URDF_IGNORE_VISUAL_SHAPES
+        self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=drawn)
         self._bind_calls()
         self._index_links()
         # Damping belongs to the body: PyBullet applies a call that names it to link -1, its friction included.
@@ -191,9 +196,11 @@ class Simulation:
         }
         geometry, size = kinds[shape.kind]
         collision = client.createCollisionShape(geometry, **size) if shape.collides else -1
-        visual_size = {("length" if key == "height" else key): value for key, value in size.items()}
-        colour = SHAPE_COLOURS.get(shape.surface, DEFAULT_COLOUR)
-        visual = client.createVisualShape(geometry, rgbaColor=colour, **visual_size)
+        visual = -1
+        if self._visible:
+            visual_size = {("length" if key == "height" else key): value for key, value in size.items()}
+            colour = SHAPE_COLOURS.get(shape.surface, DEFAULT_COLOUR)
+            visual = client.createVisualShape(geometry, rgbaColor=colour, **visual_size)
         body = client.createMultiBody(0, collision, visual, shape.position, shape.orientation)
         client.changeDynamics(body, -1, lateralFriction=friction)
         return body

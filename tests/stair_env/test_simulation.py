@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from stair_env.camera.renderers.bullet_shapes import shapes_of_body
 from stair_env.kinematics import LegKinematics
 from stair_env.robots import ROBOTS
 from stair_env.scene import build_stair_shapes
@@ -17,6 +18,23 @@ def standing(request):
     sim.place_robot(np.array([-1.0, 0.0, robot.stand_height + robot.foot_radius]), 0.0, joints)
     yield sim, joints
     sim.close()
+
+
+@pytest.mark.parametrize("name", sorted(ROBOTS))
+def test_what_is_only_drawn_changes_nothing(name):
+    """With and without visual shapes: the same motion bit by bit, and the same shapes for the ray-caster."""
+    robot, tracks, shapes = ROBOTS[name], [], []
+    for visible in (True, False):
+        sim = Simulation(robot, visible=visible)
+        sim.build(build_stair_shapes(StairSpec()), friction=0.8)
+        joints = LegKinematics(robot).joint_angles(robot.nominal_feet)
+        sim.place_robot(np.array([-0.5, 0.0, robot.stand_height + 0.1]), 0.3, joints)
+        sim.command_joints(joints + 0.05)
+        tracks.append(sim.step_and_track(60).rows)
+        shapes.append(shapes_of_body(sim.client, sim.body))
+        sim.close()
+    np.testing.assert_array_equal(*tracks)
+    assert shapes[0] == shapes[1]
 
 
 def test_feet_have_their_friction_and_the_trunk_has_not(standing):
