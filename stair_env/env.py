@@ -199,7 +199,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._energy = 0.0
 
     def _open_simulation(self, visible: bool = False) -> Simulation:
-        """Hook for environments whose camera draws with Bullet's renderers (visible) or needs them to be there first."""
+        """Hook for environments whose camera draws with Bullet's renderers (visible) or must load one first."""
         return Simulation(self.robot, self.render_mode == "human", visible or self.render_mode is not None)
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
