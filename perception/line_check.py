@@ -7,6 +7,7 @@ staircase well, but it needs the lines to know where the staircase is and which 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -104,27 +105,32 @@ def lateral_extent(
         intrinsics: of it.
         camera_to_stair: (3, 3).
     """
-    t = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    x = lines[:, :1] + (lines[:, 2:3] - lines[:, :1]) * t
-    offset = np.array([-SAMPLE_OFFSET_PX, SAMPLE_OFFSET_PX]) * intrinsics.width / IMAGE_WIDTH_PX
-    y = (lines[:, 4:5] * x + lines[:, 5:6])[:, :, None] + offset
-    u = np.clip(np.broadcast_to(x[:, :, None], y.shape).astype(int), 0, intrinsics.width - 1)
-    v = np.clip(y.astype(int), 0, intrinsics.height - 1)
-    rays = np.stack([(u + 0.5 - intrinsics.cx) / intrinsics.fx, (v + 0.5 - intrinsics.cy) / intrinsics.fy], axis=-1)
-    depth = depth_m[v, u].astype(np.float64)
-    turn = camera_to_stair[0]
-    forward = np.where(depth > 0.0, depth * (rays @ turn[:2] + turn[2]), np.nan).reshape(len(lines), -1)
-    seen = np.isfinite(forward).any(axis=1)
+    from perception import profile_kernels
+
+    kernels: Any = profile_kernels
+    distance = np.empty(len(lines))
+    kernels.line_distances(
+        np.ascontiguousarray(lines),
+        depth_m,
+        intrinsics.fx,
+        intrinsics.fy,
+        intrinsics.cx,
+        intrinsics.cy,
+        np.ascontiguousarray(camera_to_stair[0]),
+        SAMPLES,
+        SAMPLE_OFFSET_PX * intrinsics.width / IMAGE_WIDTH_PX,
+        distance,
+    )
+    seen = distance > 0.0
     if not seen.any():
         return -np.inf, np.inf
-    distance = np.nanmedian(forward[seen], axis=1)
     ends = lines[seen][:, :4].reshape(-1, 2, 2)
     end_rays = np.stack(
         [(ends[..., 0] - intrinsics.cx) / intrinsics.fx, (ends[..., 1] - intrinsics.cy) / intrinsics.fy], axis=-1
     )
     to = camera_to_stair[:2]
     ahead = end_rays @ to[0, :2] + to[0, 2]
-    lateral = distance[:, None] * (end_rays @ to[1, :2] + to[1, 2]) / np.maximum(ahead, 1e-3)  # (n, left and right)
+    lateral = distance[seen, None] * (end_rays @ to[1, :2] + to[1, 2]) / np.maximum(ahead, 1e-3)  # (n, left and right)
     weight = lines[seen, 7]
     return _weighted_quantile(lateral[:, 1], weight, EXTENT_SHARE), _weighted_quantile(
         lateral[:, 0], weight, 1.0 - EXTENT_SHARE
@@ -190,7 +196,8 @@ def _join(pieces: np.ndarray, edge: np.ndarray) -> np.ndarray:
     weight = np.repeat(pieces[:, 7], 2)
     x = pieces[:, [0, 2]].ravel()
     off = pieces[:, [1, 3]].ravel() - edge[4] * x - edge[5]
-    middle, mean = float(np.average(x, weights=weight)), float(np.average(off, weights=weight))
+    total = float(weight.sum())
+    middle, mean = float(weight @ x) / total, float(weight @ off) / total
     spread = float((weight * (x - middle) ** 2).sum())
     k = float((weight * (x - middle) * (off - mean)).sum()) / (spread + (PIECE_STD_PX / SLOPE_STD) ** 2)
     k, b = edge[4] + k, edge[5] + mean - k * middle

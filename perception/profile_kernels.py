@@ -43,12 +43,12 @@ def scan(
         left_range: least and greatest l that belongs to the staircase, metres.
         depth_range: least and greatest depth that counts, metres.
         min_readings: rows with fewer hold nothing.
-        forward, height, distance: (J,) median f, h and depth; 0 where there is nothing; written.
+        forward, height, distance: (J,) median f, and h and depth that go with it; 0 where there is nothing; written.
         readings: (J,) int64, how many readings; written.
     """
     rows, width = depth_m.shape
     count_columns = len(columns)
-    all_f, all_h, all_z = np.empty(count_columns), np.empty(count_columns), np.empty(count_columns)
+    all_f = np.empty(count_columns)
     for j in range(len(slopes)):
         a0 = rotation[2, 0] - slopes[j] * rotation[0, 0]
         a1 = rotation[2, 1] - slopes[j] * rotation[0, 1]
@@ -56,7 +56,7 @@ def scan(
         forward[j], height[j], distance[j], readings[j] = 0.0, 0.0, 0.0, 0
         if abs(a1) < 1e-6:
             continue
-        count = 0
+        count, slope_sum, ahead_sum = 0, 0.0, 0.0
         for c in range(count_columns):
             u = columns[c]
             x = (u + 0.5 - cx) / fx
@@ -71,16 +71,19 @@ def scan(
             left = z * (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2])
             if not left_range[0] < left < left_range[1]:
                 continue
-            all_f[count] = z * (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2])
-            all_h[count] = z * (rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2])
-            all_z[count] = z
+            ahead = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
+            if ahead <= 1e-3:
+                continue
+            all_f[count] = z * ahead
+            slope_sum += (rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]) / ahead  # of the pixel's centre
+            ahead_sum += ahead
             count += 1
         if count >= min_readings:
             middle = count // 2
             readings[j] = count
             forward[j] = np.partition(all_f[:count], middle)[middle]
-            height[j] = np.partition(all_h[:count], middle)[middle]
-            distance[j] = np.partition(all_z[:count], middle)[middle]
+            height[j] = forward[j] * slope_sum / count
+            distance[j] = forward[j] * count / ahead_sum
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,3 +149,47 @@ def segment(
     first[:count] = first[:count][::-1].copy()
     kind[:count] = kind[:count][::-1].copy()
     return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def line_distances(
+    lines: np.ndarray,
+    depth_m: np.ndarray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    toward: np.ndarray,
+    samples: int,
+    offset_px: float,
+    distance: np.ndarray,
+) -> None:
+    """How far away image lines are: median over samples right above and right below them.
+
+    Args:
+        lines: (m, 8) rows of `perception.lines.LINE_FIELDS`.
+        depth_m: (H, W), 0 = no reading.
+        fx, fy, cx, cy: pinhole model, pixels.
+        toward: (3,) unit vector, camera frame, along which distance counts.
+        samples: along each line.
+        offset_px: of the samples from the line.
+        distance: (m,) metres, 0 where depth shows nothing; written.
+    """
+    rows, width = depth_m.shape
+    found = np.empty(2 * samples)
+    for i in range(len(lines)):
+        count = 0
+        for j in range(samples):
+            x = lines[i, 0] + (lines[i, 2] - lines[i, 0]) * (j + 0.5) / samples
+            y = lines[i, 4] * x + lines[i, 5]
+            u = min(max(int(x), 0), width - 1)
+            for side in (-offset_px, offset_px):
+                v = int(y + side)
+                if not 0 <= v < rows:
+                    continue
+                z = depth_m[v, u]
+                if z > 0.0:
+                    ray = toward[0] * (u + 0.5 - cx) / fx + toward[1] * (v + 0.5 - cy) / fy + toward[2]
+                    found[count] = z * ray
+                    count += 1
+        distance[i] = np.partition(found[:count], count // 2)[count // 2] if count > 0 else 0.0
