@@ -17,6 +17,7 @@ from perception.geometry import GRAVITY_STD_RAD, OMEGA_M, Geometry, attitude_ang
 from perception.lines import SCORE_THRESHOLD, as_stair_lines, find_lines, to_image_pixels
 from perception.paper_geometry import measure_stairs_as_the_paper
 from stair_env.camera.intrinsics import Intrinsics
+from stair_env.pickling import PicklesByArguments
 from stair_env.stairs import check_choice
 
 LOGGER = logging.getLogger(__name__)
@@ -46,7 +47,7 @@ class Detector(Protocol):
         """
 
 
-class StairEstimator:
+class StairEstimator(PicklesByArguments):
     """Measures stairs in RGB-D frames.
 
     Args:

@@ -11,12 +11,13 @@ import math
 import numpy as np
 
 from stair_env.body_kernels import level_turn
+from stair_env.pickling import PicklesByArguments
 
 STANDARD_GRAVITY = 9.80665  # m/s² per g
 DEGREES_PER_RADIAN = 180.0 / math.pi
 
 
-class AttitudeFilter:
+class AttitudeFilter(PicklesByArguments):
     """Fuses samples into a direction of gravity, in the frame that the samples are given in.
 
     The yaw it carries is the integrated gyro's, without reference.

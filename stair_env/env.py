@@ -28,6 +28,7 @@ from stair_env.motion import MotionRecorder
 from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.odometry import LegOdometry
 from stair_env.onlooker import Onlooker
+from stair_env.pickling import PicklesByArguments
 from stair_env.privileged import Truth, pack_privileged, privileged_space
 from stair_env.rewards import StepOutcome, read_weights, reward_terms, riser_hits
 from stair_env.robots import NUM_JOINTS, get_robot
@@ -42,7 +43,7 @@ SETTLE_STEPS = 12  # control steps to stand still before the episode begins
 RENDER_MODES = ("human", "rgb_array", "depth_array")
 
 
-class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray]):
+class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArguments):
     """A legged robot climbs a staircase that it knows from the stair block of its observation.
 
     Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`), with
