@@ -66,15 +66,15 @@ class GaitConfig:
         residual_smoothing: share of the new action that gets through each control step.
     """
 
-    level: TrotStyle = TrotStyle(frequency_hz=2.4, capture_forward=0.05, capture_lateral=0.15)
+    level: TrotStyle = TrotStyle(frequency_hz=3.1, speed_factor=0.94, capture_forward=0.14, capture_lateral=0.22)
     down: TrotStyle = TrotStyle(frequency_hz=4.0, capture_forward=0.1, capture_lateral=0.2)
     swing_fraction: float = 0.5
     flat_speed: float = 0.35
     clearance: float = 0.08
     unknown_clearance: float = 0.12
-    nosing_margin: float = 0.05
+    nosing_margin: float = 0.06
     drop_margin: float = 0.13
-    travel: tuple[float, float] = (0.15, 0.9)
+    travel: tuple[float, float] = (0.3, 0.9)
     drop_travel: tuple[float, float] = (0.05, 0.65)
     pitch_follow: float = 0.8
     smoothing_s: float = 0.15
