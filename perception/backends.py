@@ -5,8 +5,10 @@ Every back end takes and gives the same numpy arrays, for any batch size, and th
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from perception.network import StairNetV2
 
 BACKENDS = ("onnx", "torch")
-MAX_BATCH = 8  # frames run at once: larger batches only push intermediate results out of the cache
+MAX_BATCH = 8  # frames that torch runs at once: larger batches only push intermediate results out of the cache
 
 
 class Backend(Protocol):
@@ -46,44 +48,62 @@ class OnnxBackend:
     Args:
         width: of the shipped weights to load.
         path: an exported file to load instead.
-        threads: for one frame; None lets the runtime take all cores.
+        threads: of one frame, and frames of a batch that run at once; None takes all cores.
 
     Raises:
         WeightsError: the weights are missing or no network of ours.
     """
 
     def __init__(self, width: float = 0.25, *, path: str | Path | None = None, threads: int | None = None) -> None:
-        import onnxruntime
-
         file = Path(path) if path is not None else weights_path(width, "onnx")
         if not file.is_file():
             raise WeightsError(f"{file}: no such file")
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = _check_threads(threads) or 0
-        options.inter_op_num_threads = 1
-        # Waiting threads would otherwise spin on cores that the physics and the renderer need.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        try:
-            self._session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # the runtime's errors share no base class
-            raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
+        self._threads = _check_threads(threads) or _available_cores()
+        self._session = _open_session(file, _check_threads(threads) or 0)
         names = [entry.name for entry in self._session.get_inputs()]
         if names != ["rgb", "depth"]:
             raise WeightsError(f"{file}: has inputs {names}, a StairNetV2 has rgb and depth")
+        # Several frames: each on one thread of its own, which need not wait for the others at every layer.
+        self._alone = _open_session(file, 1) if self._threads > 1 else self._session
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Detect on a batch; see `Backend`."""
         check_batch(rgb, depth_m)
         if len(rgb) == 0:
             return empty_answer()
-        answers = [
-            self._session.run(
-                ["cls", "loc"],
-                {"rgb": colour_input(rgb[i : i + MAX_BATCH]), "depth": depth_input(depth_m[i : i + MAX_BATCH])},
-            )
-            for i in range(0, len(rgb), MAX_BATCH)
-        ]
+        if len(rgb) == 1 or self._threads == 1:
+            answers = [_run_frame(self._session, rgb[i : i + 1], depth_m[i : i + 1]) for i in range(len(rgb))]
+        else:
+            # The threads live for this call only: kept ones would not survive a fork.
+            with ThreadPoolExecutor(min(self._threads, len(rgb))) as pool:
+                frames = [(self._alone, rgb[i : i + 1], depth_m[i : i + 1]) for i in range(len(rgb))]
+                answers = list(pool.map(_run_frame, *zip(*frames)))
         return as_grids(np.concatenate([a[0] for a in answers]), np.concatenate([a[1] for a in answers]))
+
+
+def _open_session(file: Path, threads: int) -> Any:
+    """An ONNX Runtime session on the CPU; 0 threads lets the runtime take all cores."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # Waiting threads would otherwise spin on cores that the physics and the renderer need.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime's errors share no base class
+        raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
+
+
+def _run_frame(session: Any, rgb: np.ndarray, depth_m: np.ndarray) -> list[np.ndarray]:
+    """[cls, loc] of one frame, (1, 512, 512, 3) and (1, 512, 512)."""
+    answer: list[np.ndarray] = session.run(["cls", "loc"], {"rgb": colour_input(rgb), "depth": depth_input(depth_m)})
+    return answer
+
+
+def _available_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class TorchBackend:
