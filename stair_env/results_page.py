@@ -57,7 +57,7 @@ def describe_file(path: Path) -> str:
     notes = content.get(NOTES_KEY)
     if isinstance(notes, list) and notes:
         parts.append("".join(f"- {note}\n" for note in notes))
-    known = {"overall", *TABLE_KEYS, "seed", "commit", "date", "machine"}
+    known = {"overall", "rmse_mm_by", *TABLE_KEYS, "seed", "commit", "date", "machine"}
     single = [(name, value) for name, value in content.items() if name not in known and not isinstance(value, list)]
     if single:
         parts.append("".join(f"- {name}: {format_value(value)}\n" for name, value in single))
