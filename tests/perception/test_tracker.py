@@ -332,3 +332,30 @@ def test_step_is_cheap() -> None:
 def test_config_names_the_wrong_field() -> None:
     with pytest.raises(SpecError, match="max_age_s"):
         TrackerConfig(max_age_s=-1.0)
+
+
+def lone_riser(direction: int, distance_m: float) -> StairEstimate:
+    nosing = Nosing(distance_m, 0.005, -0.4, 0.005, 0.12, 0.003)
+    return StairEstimate(valid=True, direction=direction, nosings=(nosing,), next_edge_m=distance_m)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_riser_alone_starts_no_staircase(direction: int) -> None:
+    """A kerb, a box or a skirting board shows one too."""
+    tracker = StairTracker(HIP)
+    tracker.reset(0.0)
+    for frame in range(10):
+        tracker.advance(0.1 * (frame + 1), 0.0, 0.0, 0.0)
+        assert not tracker.observe(lone_riser(direction, 0.8), 0.1 * frame, CAMERA)
+    assert tracker.block() == NO_STAIRS
+
+
+def test_the_last_riser_of_a_known_staircase_still_counts() -> None:
+    rng = np.random.default_rng(0)
+    profile = StairSpec(riser_height=0.12, tread_depth=0.3, num_steps=3).profile()
+    tracker = StairTracker(HIP)
+    tracker.reset(0.0)
+    tracker.advance(0.1, 0.0, 0.0, 0.0)
+    assert tracker.observe(look(profile, -1.0, 0.0, rng, noise=0.0), 0.1, CAMERA)
+    last = float(profile.edge_x[-1]) + 1.0 - CAMERA.forward_m
+    assert tracker.observe(lone_riser(1, last), 0.1, CAMERA)
