@@ -83,6 +83,7 @@ class StairEstimator(PicklesByArguments):
         self._method = method
         usual = SCORE_THRESHOLD if method == "paper" else WEAK_SCORE_THRESHOLD
         self._threshold = usual if threshold is None else threshold
+        self._sure_threshold = SCORE_THRESHOLD if threshold is None else threshold
         self._omega_m = omega_m
         self._gravity_std_rad = gravity_std_rad
 
@@ -174,12 +175,15 @@ class StairEstimator(PicklesByArguments):
             geometry = measure_stairs(
                 lines, depth_m, intrinsics, gravity, omega_m=self._omega_m, gravity_std_rad=self._gravity_std_rad
             )
-        return _as_estimate(geometry, lines, gravity)
+        return _as_estimate(geometry, lines, gravity, self._sure_threshold)
 
 
-def _as_estimate(geometry: Geometry, lines: np.ndarray, gravity: np.ndarray) -> StairEstimate:
+def _as_estimate(geometry: Geometry, lines: np.ndarray, gravity: np.ndarray, sure_threshold: float) -> StairEstimate:
     pitch, roll = attitude_angles(gravity)
     order = np.argsort(-(lines[:, 1] + lines[:, 3])) if len(lines) else np.empty(0, dtype=int)
+    # A line of weak cells is one only if geometry found it to be an edge.
+    sure = (lines[:, 6] >= sure_threshold) | (np.array(geometry.kinds, dtype=str) != "unknown")
+    order = order[sure[order]]
     found = as_stair_lines(lines[order], tuple(geometry.kinds[index] for index in order))
     valid = geometry.direction != 0 and any(nosing.riser_m is not None for nosing in geometry.nosings)
     return StairEstimate(
