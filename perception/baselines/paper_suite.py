@@ -17,7 +17,7 @@ from perception.baselines.base import GridDetector, LineBackend, LineDetector
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.baselines.paper_figure import compare, exemplary_frames
 from perception.baselines.paper_tables import PAPER_TABLES, Scores, table_notes, table_rows
-from perception.baselines.regions import SCORES, RememberedRegions, choose_least_score
+from perception.baselines.regions import SCORES, RegionScore, RememberedRegions, choose_least_score, region_note
 from perception.baselines.roi import RegionFinder, RoiClassicalDetector
 from perception.baselines.roi_network import RoiNetwork
 from perception.baselines.runs import LEARNED_ROWS, Run, load_run, train_missing
@@ -108,6 +108,7 @@ class PaperSuite:
         self.detectors: dict[str, LineDetector] = {}  # row -> detector of the first seed
         self._timed: dict[str, TimedDetector] = {}
         self.tuning: dict[str, Any] = {}  # what the searches found
+        self._region_notes: list[str] = []
 
     def train(self, *, bar: bool = True) -> None:
         """Train what is missing; goes on where it was killed.
@@ -137,6 +138,7 @@ class PaperSuite:
         cpu_ms = interleaved_cpu_ms(self._timed, frames)
         reports = {f"table{table}": _report(table, self.plan, self.scores, cpu_ms) for table in PAPER_TABLES}
         reports["table6"]["tuning"] = self.tuning
+        reports["table6"]["notes"] += self._region_notes
         return reports
 
     def picture(self) -> np.ndarray:
@@ -156,8 +158,9 @@ class PaperSuite:
         network = load_run(run)
         name = f"{run.row}, seed {run.seed}"
         if isinstance(network, RoiNetwork):
-            detector, found = tuned_within_regions(network, self._tuning_frames, self.plan, self._progress)
+            detector, chosen, found = tuned_within_regions(network, self._tuning_frames, self.plan, self._progress)
             self.tuning[f"roi_classical, seed {run.seed}"] = found
+            self._region_notes.append(region_note(name, chosen))
             self._add("roi_classical", self._score(LineBackend(detector), name), detector, detector)
             return
         backend: Backend
@@ -199,11 +202,11 @@ def _one_pair(backend: Backend, rgb: np.ndarray, depth_m: np.ndarray) -> Any:
 
 def tuned_within_regions(
     network: RoiNetwork, frames: Sequence[Sample], plan: SuitePlan, progress: Progress
-) -> tuple[RoiClassicalDetector, dict[str, Any]]:
+) -> tuple[RoiClassicalDetector, RegionScore, dict[str, Any]]:
     """Size and least score of regions, then the classical parameters inside them, all on validation frames.
 
     Returns:
-        The detector, and what was found, JSON-able.
+        The detector, how well regions are found, and what was found, JSON-able.
     """
     choices = []
     for size_px in REGION_SIZES_PX:  # the first of equal ones stays
@@ -218,7 +221,8 @@ def tuned_within_regions(
     bar = functools.partial(progress, description="tuning inside regions")
     result = tune(frames, np.random.default_rng(plan.seeds[0]), plan.trials, make=make, progress=bar)
     report = {"regions": asdict(chosen) | {"size_px": size_px}, **_search_report(result)}
-    return RoiClassicalDetector(RegionFinder(network, chosen.least_score, size_px), result.parameters), report
+    detector = RoiClassicalDetector(RegionFinder(network, chosen.least_score, size_px), result.parameters)
+    return detector, chosen, report
 
 
 def _search_report(result: TuningResult) -> dict[str, Any]:

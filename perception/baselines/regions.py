@@ -11,6 +11,7 @@ from perception.baselines.roi import FindRegions, region_of
 from perception.dataset import Sample
 
 SCORES = tuple(round(0.05 * step, 2) for step in range(1, 17))  # candidates for the least score
+LEARNED_IOU = 40.0  # per cent: a detector below it has not learned to find stairs; a constant box reaches about 20
 RIGHT_OVERLAP = 0.5  # IOU from which a region is right
 
 
@@ -54,6 +55,14 @@ def choose_least_score(found: Sequence[np.ndarray], frames: Sequence[Sample]) ->
             RegionScore(least, 100.0 * float(right.mean()), 100.0 * float(reached.mean() if len(reached) else 0.0))
         )
     return max(results, key=lambda result: (result.right, -result.least_score))
+
+
+def region_note(name: str, score: RegionScore) -> str:
+    """How well regions are found, and whether well enough for the row to say anything about its method."""
+    found = f"{name}: regions right in {score.right:.0f} % of the validation frames, mean IOU {score.mean_iou:.0f} %."
+    if score.mean_iou >= LEARNED_IOU:
+        return found
+    return f"{found} The region detector has not learned with this schedule: its row says nothing about the method."
 
 
 def _best_overlap(regions: np.ndarray, frame: Sample) -> float:

@@ -10,7 +10,7 @@ import torch
 from perception.baselines.paper_figure import FOUND, brightened, compare, exemplary_frames
 from perception.baselines.paper_suite import SuitePlan, interleaved_cpu_ms, tuned_within_regions
 from perception.baselines.paper_tables import PAPER_TABLES, table_notes, table_rows
-from perception.baselines.regions import RememberedRegions, box_iou, choose_least_score
+from perception.baselines.regions import RememberedRegions, box_iou, choose_least_score, region_note
 from perception.baselines.roi import region_of
 from perception.baselines.roi_network import RoiNetwork
 from perception.baselines.runs import LEARNED_ROWS, SUITE_PRESET, Run, RunError, load_run, train_missing
@@ -159,9 +159,12 @@ def test_remembered_regions_are_found_once():
 def test_tuning_inside_regions_needs_no_good_regions(data, tmp_path):
     torch.manual_seed(0)
     plan = SuitePlan(data, tmp_path, TINY, trials=2)
-    detector, found = tuned_within_regions(RoiNetwork(0.25).eval(), [frame(LINES)] * 2, plan, lambda x, **_: iter(x))
+    network, frames = RoiNetwork(0.25).eval(), [frame(LINES)] * 2
+    detector, chosen, found = tuned_within_regions(network, frames, plan, lambda x, **_: iter(x))
     assert detector(frame(LINES).rgb, frame(LINES).depth_m).shape == (0, 4)
-    assert 0.0 < found["regions"]["least_score"] < 1.0
+    assert 0.0 < found["regions"]["least_score"] == chosen.least_score < 1.0
+    assert "says nothing about the method" in region_note("r", chosen)
+    assert "says nothing" not in region_note("r", dataclasses.replace(chosen, mean_iou=70.0))
     assert found["trials"] == 2
 
 
