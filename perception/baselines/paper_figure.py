@@ -19,12 +19,12 @@ FOUND: Colour = (255, 120, 40)
 REGION: Colour = (90, 180, 255)
 SHOWN_MEAN = 90.0  # grey levels: darker frames are shown brighter, or a reader sees nothing
 MAX_GAIN = 6.0
-TILE_PX = 256
+TILE_PX = 192
 TITLE_PX = 22
 GAP_PX = 4
 
 
-def exemplary_frames(frames: StairDataset, each: int = 2) -> list[Sample]:
+def exemplary_frames(frames: StairDataset, each: int = 1) -> list[Sample]:
     """The first frames of the set of each view and light that show some stair lines, and the first without any."""
     wanted = {(view, light): each for view, light in itertools.product(VIEWS, LIGHTS)} | {("none", "day"): 1}
     chosen: list[tuple[tuple[str, str], Sample]] = []
@@ -103,5 +103,5 @@ def _tile(picture: np.ndarray) -> np.ndarray:
 
 def _title(text: str) -> np.ndarray:
     band = np.full((TITLE_PX, TILE_PX + GAP_PX, 3), PANEL, np.uint8)
-    cv2.putText(band, text, (4, TITLE_PX - 7), FONT, 0.42, INK, 1, cv2.LINE_AA)
+    cv2.putText(band, text, (4, TITLE_PX - 7), FONT, 0.34, INK, 1, cv2.LINE_AA)
     return band

@@ -181,13 +181,13 @@ def test_picture_shows_labels_and_every_method(data):
     frames = [lit, frame(np.zeros((0, 4)))]
     boxes = {"b": lambda rgb: np.array([[50.0, 50, 400, 400, 0.9]])}
     picture = compare(frames, {"a": lambda rgb, depth: LINES, "b": lambda rgb, depth: np.zeros((0, 4))}, boxes)
-    assert picture.shape == (22 + 2 * 260, 3 * 260, 3)
-    assert (picture[22:282, :260] == TRUE).all(-1).any(), "labels"
-    assert not (picture[282:, :260] == TRUE).all(-1).any()
-    assert (np.abs(picture[22:282, 260:520].astype(int) - FOUND).max(-1) < 40).any()
+    assert picture.shape == (22 + 2 * 196, 3 * 196, 3)
+    assert (picture[22:218, :196] == TRUE).all(-1).any(), "labels"
+    assert not (picture[218:, :196] == TRUE).all(-1).any()
+    assert (np.abs(picture[22:218, 196:392].astype(int) - FOUND).max(-1) < 40).any()
     blue = (picture[..., 2].astype(int) - picture[..., 0]) > 80
-    assert blue[22:, 520:].any(), "the region"
-    assert not blue[22:, :260].any()
+    assert blue[22:, 392:].any(), "the region"
+    assert not blue[22:, :196].any()
     with pytest.raises(ValueError, match="frames"):
         compare([], {})
     assert brightened(lit.rgb).mean() == pytest.approx(90.0, abs=1.0)
