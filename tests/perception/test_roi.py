@@ -195,7 +195,7 @@ def test_it_learns_where_the_stairs_are():
         rgb.append(torch.from_numpy(arrays[0] + rng.normal(0, 0.02, arrays[0].shape).astype(np.float32)))
         box.append(torch.from_numpy(arrays[2]))
     image, regions = torch.stack(rgb), Regions(torch.ones(4, dtype=torch.bool), torch.stack(box))
-    for _ in range(25):
+    for _ in range(60):
         terms = roi_loss(network.forward_raw(image), regions, network.anchors)
         optimiser.zero_grad()
         (terms["box"] + terms["score"]).backward()
