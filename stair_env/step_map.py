@@ -16,7 +16,7 @@ from stair_env.observation import StairBlock
 
 FORGET_BEHIND_M = 1.5
 SLIP_MEMORY_M = 0.5  # of odometry, over which the feet's slip is learned
-SLIP_RANGE = (0.4, 1.2)  # true distance per distance of the odometry
+SLIP_RANGE = (0.85, 1.05)  # true distance per distance of the odometry: what lasts; bursts of slip do not
 LOST_AFTER_S = 1.5  # an edge ahead that nobody confirms for so long is dropped
 
 
