@@ -174,6 +174,15 @@ class Head(nn.Sequential):
         super().__init__(ConvNormAct(channels, channels, kernel=3), nn.Conv2d(channels, c_out, 1))
 
 
+def start_blocks_as_shortcuts(network: nn.Module) -> None:
+    """Initialise convolutions, and each bottleneck as its shortcut: 19 blocks then train at 1e-3 from the first step."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d):
+            nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        if isinstance(module, Bottleneck):
+            nn.init.zeros_(module.expand_norm.weight)
+
+
 def _scaled(channels: int, width: float) -> int:
     return int(channels * width)
 
@@ -222,12 +231,7 @@ class StairNetV2(nn.Module):
         self._initialise()
 
     def _initialise(self) -> None:
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
-            if isinstance(module, Bottleneck):
-                # Each block starts as its shortcut: 19 residual blocks then train at 1e-3 from the first step.
-                nn.init.zeros_(module.expand_norm.weight)
+        start_blocks_as_shortcuts(self)
         for head, bias in ((self.cls_head, torch.logit(torch.tensor(CLS_PRIOR)).item()), (self.loc_head, 0.0)):
             last = head[-1]
             assert isinstance(last, nn.Conv2d) and last.bias is not None

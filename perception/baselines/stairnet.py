@@ -30,6 +30,7 @@ from perception.network import (
     ConvNormAct,
     Focus,
     Head,
+    start_blocks_as_shortcuts,
 )
 from perception.preprocess import colour_input
 from perception.weights_io import DENSE_UP_TO_WIDTH
@@ -137,11 +138,7 @@ class StairNet(nn.Module):
 
     def _initialise(self) -> None:
         """As StairNetV2 starts: blocks as their shortcuts, few lines expected, coordinates in the middle."""
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
-            if isinstance(module, Bottleneck):
-                nn.init.zeros_(module.expand_norm.weight)
+        start_blocks_as_shortcuts(self)
         prior = torch.tensor([1.0 - LINE_PRIOR, LINE_PRIOR / 2, LINE_PRIOR / 2]).log()
         for head, bias in ((self.kind_head, prior), (self.loc_head, torch.zeros(8))):
             last = head[-1]

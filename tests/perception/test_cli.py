@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from perception.weights_io import available_widths, load_weights
+from perception.weights_io import WeightsError, load_weights, weights_path
 from stair_env.cli.main import main
 
 
@@ -74,7 +74,6 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "w.onnx: no such file" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(0.5 in available_widths("onnx"), reason="these weights are shipped")
-def test_missing_width_says_what_there_is(tmp_path, capsys):
-    assert main(["perception-evaluate", "--data", str(tmp_path), "--width", "0.5"]) == 2
-    assert "there are:" in capsys.readouterr().err
+def test_missing_width_says_what_there_is(tmp_path):
+    with pytest.raises(WeightsError, match=r"no onnx weights for width=0\.5 .* there are: none"):
+        weights_path(0.5, "onnx", tmp_path)
