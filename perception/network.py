@@ -175,7 +175,7 @@ class Head(nn.Sequential):
 
 
 def start_blocks_as_shortcuts(network: nn.Module) -> None:
-    """Initialise convolutions, and each bottleneck as its shortcut: 19 blocks then train at 1e-3 from the first step."""
+    """Initialise convolutions, and each bottleneck as its shortcut: 19 blocks then train at 1e-3 from the start."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
