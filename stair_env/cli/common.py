@@ -26,6 +26,7 @@ __all__ = [
     "provenance",
     "seed_list",
     "seed_value",
+    "share",
     "write_json",
 ]
 
@@ -50,13 +51,26 @@ def positive_int(text: str) -> int:
 
 def positive_float(text: str) -> float:
     """Parse a finite number > 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} must be a number > 0")
     return value
+
+
+def share(text: str) -> float:
+    """Parse a number from 0 to 1."""
+    value = _number(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number from 0 to 1")
+    return value
+
+
+def _number(text: str) -> float:
+    """What a text says, or not-a-number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def seed_list(text: str) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, limit_threads, positive_float, positive_int, write_json
+from stair_env.cli.common import add_common_arguments, limit_threads, positive_float, positive_int, share, write_json
 
 PRESET_NAMES = ("fast", "paper")
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
@@ -29,6 +29,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--epochs", type=positive_int, help="instead of the preset's")
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
     parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
+    parser.add_argument(
+        "--small-share", type=share, metavar="SHARE", help="share of the epochs at half size, instead of the preset's"
+    )
     parser.add_argument(
         "--fusion-stage", type=int, choices=(2, 3, 4), default=2, help="down-samplings before fusion (%(default)s)"
     )
@@ -65,8 +68,9 @@ def run(args: argparse.Namespace) -> int:
         "epochs": args.epochs,
         "frames_per_epoch": args.frames_per_epoch,
         "learning_rate": args.learning_rate,
+        "small_share": args.small_share,
     }
-    chosen = {name: value for name, value in chosen.items() if value}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
     if args.fixed_weights:
         chosen["dynamic_weights"] = False
     preset = dataclasses.replace(PRESETS[args.preset], **chosen)
