@@ -20,6 +20,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from policies.episode_log import EpisodeLog, Key
 from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
 from policies.rollout import GRAVITY, Episode, Predictor, ZeroAction, measurement_summary, run_episode
 from policies.stair_sets import DIRECTIONS, Cell, make_cells
@@ -122,18 +123,25 @@ class Job:
     policy: str | None
     seeds: tuple[int, ...]
 
+    def key(self, seed: int) -> Key:
+        """Of one of its episodes, in an `EpisodeLog`."""
+        return self.source, self.policy, self.cell_index, seed
+
 
 def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> dict[str, Any]:
     """Run all episodes and tabulate them; see `run_all` and `tabulate`."""
     return tabulate(config, run_all(config, on_done))
 
 
-def run_all(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> Records:
+def run_all(
+    config: EvaluationConfig, on_done: Callable[[int], None] | None = None, log: EpisodeLog | None = None
+) -> Records:
     """Run all episodes.
 
     Args:
         config: what to compare.
         on_done: called with the number of episodes just finished.
+        log: takes every episode down when it is over; those it knows already are not run again.
 
     Returns:
         Episodes by source and index of the cell, in the order of their seeds.
@@ -143,16 +151,33 @@ def run_all(config: EvaluationConfig, on_done: Callable[[int], None] | None = No
         concurrent.futures.process.BrokenProcessPool: a worker died.
     """
     cells = make_cells(config.stairs, config.directions)
-    found: dict[tuple[str, int], dict[int, Episode]] = {}
-    for job, episodes in _run_jobs(plan_jobs(config, cells), config.workers):
-        found.setdefault((job.source, job.cell_index), {}).update((episode.seed, episode) for episode in episodes)
+    jobs = plan_jobs(config, cells)
+    found = dict(log.episodes) if log else {}
+    left = [
+        dataclasses.replace(job, seeds=seeds)
+        for job in jobs
+        if (seeds := tuple(seed for seed in job.seeds if job.key(seed) not in found))
+    ]
+    if on_done and len(left) < len(jobs):
+        on_done(sum(len(job.seeds) for job in jobs) - sum(len(job.seeds) for job in left))
+    for job, episodes in _run_jobs(left, config.workers):
+        found.update((job.key(episode.seed), episode) for episode in episodes)
+        if log:
+            log.add(job.source, job.policy, job.cell_index, episodes)
         if on_done:
             on_done(len(episodes))
-    return {
-        (source, index): [found[source, index][seed] for seed in episode_seeds(config.seed, index, config.episodes)]
-        for source in config.sources
-        for index in range(len(cells))
+    records: dict[tuple[str, int], list[Episode]] = {
+        (source, index): [] for source in config.sources for index in range(len(cells))
     }
+    for job in jobs:
+        records[job.source, job.cell_index].extend(found[job.key(seed)] for seed in job.seeds)
+    return records
+
+
+def episode_settings(config: EvaluationConfig) -> dict[str, Any]:
+    """What an episode depends on beside source, policy, cell and seed, of which more may follow later."""
+    names = ("robot", "stairs", "directions", "seed", "lighting", "env_kwargs")
+    return {name: getattr(config, name) for name in names}
 
 
 def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
@@ -253,7 +278,7 @@ def _describe_cell(source: str, cell: Cell) -> dict[str, Any]:
 
 def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Episode]]]:
     """Results as they come, from this process or from workers that start without its threads."""
-    if workers == 1:
+    if workers == 1 or not jobs:
         with contextlib.closing(_Worker()) as worker:
             for job in jobs:
                 yield job, worker.run(job)

@@ -51,13 +51,22 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--film", type=Path, metavar="FOLDER", help="film the first failure and the first success of each source"
     )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the episodes that were written beside --json (FILE.episodes.jsonl) before a kill, or with "
+        "fewer episodes or sources",
+    )
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print a table, write JSON and figure."""
     limit_threads(1)
+    if args.resume and not args.json:
+        raise ValueError("--resume needs --json FILE, beside which the episodes are kept")
     from policies import evaluation
+    from policies.episode_log import EpisodeLog, log_path
     from stair_env.progress import progress_bar
 
     policy = args.policy or args.robot
@@ -76,8 +85,11 @@ def run(args: argparse.Namespace) -> int:
         workers=args.workers,
     )
     _check_policies(config)
+    log = (
+        EpisodeLog(log_path(args.json), evaluation.episode_settings(config), resume=args.resume) if args.json else None
+    )
     with progress_bar(evaluation.count_episodes(config), "evaluate", unit="episode") as bar:
-        records = evaluation.run_all(config, bar.update)
+        records = evaluation.run_all(config, bar.update, log)
     results = evaluation.tabulate(config, records)
     print(format_table(results))
     if args.json:
