@@ -8,7 +8,7 @@ from typing import TypeVar
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.network import Bottleneck, GroupedConv3x3
+from perception.network import Bottleneck, Focus, GroupedConv3x3
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -29,6 +29,10 @@ def folded(network: Network, *, dense: bool = False) -> Network:
             _fold_bottleneck(module, dense)
         elif isinstance(module, nn.Sequential) and [*map(type, module.children())][:2] == [nn.Conv2d, nn.BatchNorm2d]:
             module[0], module[1] = _fused(module[0], module[1]), nn.Identity()
+    for module in list(network.modules()):
+        for name, child in module.named_children():
+            if isinstance(child, Focus):
+                setattr(module, name, _strided(child))
     return network
 
 
@@ -38,6 +42,19 @@ def _fold_bottleneck(block: Bottleneck, dense: bool) -> None:
     block.expand, block.expand_norm = _fused(block.expand, block.expand_norm), nn.Identity()  # type: ignore[assignment]
     if isinstance(block.shortcut, nn.Sequential):
         block.shortcut = _fused(block.shortcut[0], block.shortcut[1])
+
+
+def _strided(focus: Focus) -> nn.Sequential:
+    """A tensor slice and its folded 1 x 1 convolution as one 2 x 2 convolution of stride 2.
+
+    The slice alone took a sixth of ONNX Runtime's time at 0.25x: its copy of the picture is shuffled element by element.
+    """
+    mix = focus.mix[0]
+    assert isinstance(mix, nn.Conv2d)
+    conv = nn.Conv2d(mix.in_channels // 4, mix.out_channels, 2, 2)
+    conv.weight = nn.Parameter(mix.weight.reshape(conv.weight.shape), requires_grad=False)
+    conv.bias = mix.bias
+    return nn.Sequential(conv, nn.ReLU(inplace=True)).eval()
 
 
 def _fused(conv: nn.Module, norm: nn.Module) -> nn.Conv2d:

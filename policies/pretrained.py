@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "card.json"
-FILES = (MODEL_FILE, NORMALISATION_FILE)
 
 
 class PolicyError(ValueError):
@@ -89,31 +88,44 @@ def locate(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> Path:
     """Folder of a policy by shipped name or path; a shipped one's files are checked against the manifest.
 
     Args:
-        policy: a name, a folder with `model.zip`, or a `.zip` file.
+        policy: a name, a folder with `model.zip`, a `.zip` file, or the folder of an rl_zoo3 run.
         weights: folder of shipped policies.
 
     Raises:
         PolicyError: no such policy, or a shipped file was changed.
     """
-    shipped = _manifest(weights)
-    if str(policy) in shipped:
+    if str(policy) in _manifest(weights):
         _read_checked(str(policy), weights)
         return weights / str(policy)
+    return _own_files(policy, weights)[MODEL_FILE].parent
+
+
+def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
+    """Files of a policy that is not a shipped one, by the names that shipped ones have.
+
+    rl_zoo3 leaves `ENV.zip` in the run's folder and `vecnormalize.pkl` in its subfolder `ENV`.
+    """
     path = Path(policy)
-    folder = path.parent if path.suffix == ".zip" else path
-    if not (folder / MODEL_FILE).is_file():
-        choices = ", ".join(sorted(shipped)) or "none shipped yet"
-        raise PolicyError(
-            f"policy={str(policy)!r} is neither a shipped name ({choices}) nor a folder with {MODEL_FILE}"
-        )
-    return folder
+    models = [path] if path.suffix == ".zip" else [path / MODEL_FILE, *sorted(path.glob(f"*/{NORMALISATION_FILE}"))]
+    for model in models:
+        if model.name == NORMALISATION_FILE:
+            model = model.parent.with_name(f"{model.parent.name}.zip")
+        if model.is_file():
+            beside = (model.with_name(NORMALISATION_FILE), model.with_suffix("") / NORMALISATION_FILE)
+            return {MODEL_FILE: model} | {NORMALISATION_FILE: file for file in beside if file.is_file()}
+    choices = ", ".join(sorted(_manifest(weights))) or "none shipped yet"
+    raise PolicyError(
+        f"policy={str(policy)!r} is neither a shipped name ({choices}) nor a folder with {MODEL_FILE}, a .zip file, "
+        "or the folder of an rl_zoo3 run"
+    )
 
 
 def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER) -> Policy:
     """Load a policy.
 
     Args:
-        policy: a shipped name (see `names`), a folder with `model.zip`, or a `.zip` file beside `vecnormalize.pkl`.
+        policy: a shipped name (see `names`), a folder with `model.zip`, a `.zip` file beside `vecnormalize.pkl`, or the
+            folder of an rl_zoo3 run.
         env: environment whose spaces must match.
         weights: folder of shipped policies.
 
@@ -124,7 +136,7 @@ def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS
     if str(policy) in _manifest(weights):
         contents = _read_checked(str(policy), weights)
     else:
-        contents = {name: (folder / name).read_bytes() for name in FILES if (folder / name).is_file()}
+        contents = {name: path.read_bytes() for name, path in _own_files(policy, weights).items()}
     card_file = folder / CARD_FILE
     card = json.loads(card_file.read_text(encoding="utf-8")) if card_file.is_file() else {}
     loaded = _unpickle(str(policy), contents, card)
@@ -152,11 +164,10 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
     target = weights / name
     target.mkdir(parents=True, exist_ok=True)
     hashes = {}
-    for file in FILES:
-        if (source / file).is_file():
-            content = (source / file).read_bytes()
-            (target / file).write_bytes(content)
-            hashes[file] = hashlib.sha256(content).hexdigest()
+    for file, path in _own_files(folder if Path(folder).suffix == ".zip" else source, weights).items():
+        content = path.read_bytes()
+        (target / file).write_bytes(content)
+        hashes[file] = hashlib.sha256(content).hexdigest()
     card, curve = run_card(source)
     (target / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     manifest = {**_manifest(weights), name: hashes}

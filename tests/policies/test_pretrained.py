@@ -79,6 +79,23 @@ def test_a_checkpoint_gets_its_card_from_the_run(toy_id: str, tmp_path: Path) ->
     assert pretrained.load("early", make_env(toy_id, {"size": 5}), tmp_path / "weights").card == card
 
 
+@pytest.mark.parametrize("named", ["folder", "zip"])
+def test_an_rl_zoo3_run_loads_with_its_statistics(run_folder: Path, tmp_path: Path, toy_id: str, named: str) -> None:
+    run = tmp_path / "logs" / "ppo" / "Toy-v0_1"
+    (run / "Toy-v0").mkdir(parents=True)
+    (run_folder / "model.zip").rename(run / "Toy-v0.zip")
+    (run_folder / "vecnormalize.pkl").rename(run / "Toy-v0" / "vecnormalize.pkl")
+    path = run if named == "folder" else run / "Toy-v0.zip"
+    assert pretrained.locate(path) == run
+    observation, _ = make_env(toy_id).reset(seed=0)
+    pretrained.add(path, "zoo", tmp_path / "weights")
+    actions = [
+        p.predict(observation)[0] for p in (pretrained.load(path), pretrained.load("zoo", None, tmp_path / "weights"))
+    ]
+    plain, _ = algorithm_class("ppo").load(run / "Toy-v0.zip").predict(observation, deterministic=True)
+    assert np.array_equal(*actions) and not np.array_equal(actions[0], plain)
+
+
 def test_batches_and_single_observations_agree(weights: Path, toy_id: str) -> None:
     env = make_env(toy_id)
     policy = pretrained.load("toy", env, weights)
