@@ -111,8 +111,11 @@ def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
         if model.name == NORMALISATION_FILE:
             model = model.parent.with_name(f"{model.parent.name}.zip")
         if model.is_file():
-            beside = (model.with_name(NORMALISATION_FILE), model.with_suffix("") / NORMALISATION_FILE)
-            return {MODEL_FILE: model} | {NORMALISATION_FILE: file for file in beside if file.is_file()}
+            files = {MODEL_FILE: model}
+            for beside in (model.with_suffix("") / NORMALISATION_FILE, model.with_name(NORMALISATION_FILE)):
+                if beside.is_file():
+                    files[NORMALISATION_FILE] = beside
+            return files
     choices = ", ".join(sorted(_manifest(weights))) or "none shipped yet"
     raise PolicyError(
         f"policy={str(policy)!r} is neither a shipped name ({choices}) nor a folder with {MODEL_FILE}, a .zip file, "
