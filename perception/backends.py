@@ -1,26 +1,36 @@
-"""Runs the network on letterboxed frames: ONNX Runtime (fast on CPUs, no torch needed) or torch.
+"""Runs the network on letterboxed frames: ONNX Runtime (fast on CPUs, no torch needed), OpenVINO (faster) or torch.
 
-Every back end takes and gives the same numpy arrays, for any batch size, and they agree to 1e-3.
+Every back end takes and gives the same numpy arrays, for any batch size. All that compute in float32 agree to 1e-3.
 """
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from perception.preprocess import IMAGE_SIZE, colour_input, depth_input
+from perception.preprocess import IMAGE_SIZE, NEAREST_DEPTH_M, colour_input, depth_input
 from perception.weights_io import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
 from stair_env.stairs import check_choice
 
 if TYPE_CHECKING:
     from perception.network import StairNetV2
 
-BACKENDS = ("onnx", "torch")
+LOGGER = logging.getLogger(__name__)
+
+BACKENDS = ("onnx", "torch", "openvino", "openvino-bf16")
+EXPORTED_BACKENDS = ("onnx", "openvino", "openvino-bf16")  # those that read .onnx files
+PRECISIONS = ("f32", "bf16")
 MAX_BATCH = 8  # frames that torch runs at once: larger batches only push intermediate results out of the cache
+
+
+class BackendError(ValueError):
+    """A back end cannot run here; the message says what it needs."""
 
 
 class Backend(Protocol):
@@ -106,6 +116,125 @@ def _available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class OpenVinoBackend:
+    """OpenVINO on the CPU, from the same exported file as ONNX Runtime; needs the extra `stair-env[openvino]`.
+
+    Colour and depth are scaled within the compiled network, which saves their way through memory.
+
+    Args:
+        width: of the shipped weights to load.
+        path: an exported file to load instead.
+        precision: "f32", or "bf16" where the processor computes in bfloat16 (docs/stairnetv2.md says what that costs).
+        threads: of one frame, and frames of a batch that run at once; None takes all cores.
+
+    Raises:
+        BackendError: OpenVINO is not installed.
+        WeightsError: the weights are missing or no network of ours.
+    """
+
+    def __init__(
+        self,
+        width: float = 0.25,
+        *,
+        path: str | Path | None = None,
+        precision: Literal["f32", "bf16"] = "f32",
+        threads: int | None = None,
+    ) -> None:
+        check_choice("precision", precision, PRECISIONS)
+        file = Path(path) if path is not None else weights_path(width, "onnx")
+        if not file.is_file():
+            raise WeightsError(f"{file}: no such file")
+        self._threads = _check_threads(threads) or _available_cores()
+        self._model, self._precision = _read_openvino_model(file), precision
+        self._request = self._compile(streams=1).create_infer_request()
+        self._queue: Any = None  # of several frames at once; compiled when the first batch comes
+
+    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Detect on a batch; see `Backend`."""
+        check_batch(rgb, depth_m)
+        if len(rgb) == 0:
+            return empty_answer()
+        depth = np.ascontiguousarray(depth_m, dtype=np.float32)[:, None]
+        cls, loc = np.empty((len(rgb), 1, 32, 16), np.float32), np.empty((len(rgb), 8, 32, 16), np.float32)
+
+        def keep(request: Any, index: int) -> None:
+            cls[index], loc[index] = request.get_tensor("cls").data[0], request.get_tensor("loc").data[0]
+
+        frames = ({"rgb": np.ascontiguousarray(rgb[i : i + 1]), "depth": depth[i : i + 1]} for i in range(len(rgb)))
+        if len(rgb) == 1 or self._threads == 1:
+            for index, frame in enumerate(frames):
+                self._request.infer(frame, share_inputs=True)
+                keep(self._request, index)
+        else:
+            self._run_at_once(list(frames), keep)
+        return as_grids(cls, loc)
+
+    def _run_at_once(self, frames: list[dict[str, np.ndarray]], keep: Callable[[Any, int], None]) -> None:
+        """Frames side by side, each on one thread of its own; `keep` takes each finished request and its index."""
+        from openvino import AsyncInferQueue
+
+        if self._queue is None:
+            self._queue = AsyncInferQueue(self._compile(streams=self._threads), self._threads)
+        self._queue.set_callback(keep)
+        for index, frame in enumerate(frames):
+            self._queue.start_async(frame, index, share_inputs=True)
+        self._queue.wait_all()
+
+    def _compile(self, streams: int) -> Any:
+        """The network for frames of which `streams` run at once."""
+        from openvino import Core
+
+        core = Core()
+        if self._precision == "bf16" and "BF16" not in core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+            LOGGER.warning("this processor does not compute in bfloat16: OpenVINO will compute in float32")
+        settings = {
+            "INFERENCE_PRECISION_HINT": self._precision,
+            "INFERENCE_NUM_THREADS": self._threads,
+            "NUM_STREAMS": streams,
+        }
+        return core.compile_model(self._model, "CPU", settings)
+
+
+def _read_openvino_model(file: Path) -> Any:
+    """An exported network for OpenVINO that takes one frame as the camera gives it: uint8 colour and metres.
+
+    Raises:
+        BackendError: OpenVINO is not installed.
+        WeightsError: the file is no network of ours.
+    """
+    try:
+        import openvino
+        from openvino import opset13 as op
+        from openvino.preprocess import PrePostProcessor
+    except ImportError as error:
+        raise BackendError(f"OpenVINO cannot be imported ({error}): pip install 'stair-env[openvino]'") from error
+
+    try:
+        model = openvino.Core().read_model(str(file))
+    except RuntimeError as error:
+        raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
+    names = sorted(entry.any_name for entry in model.inputs)
+    if names != ["depth", "rgb"]:
+        raise WeightsError(f"{file}: has inputs {names}, a StairNetV2 has rgb and depth")
+    model.reshape({"rgb": [1, 3, IMAGE_SIZE, IMAGE_SIZE], "depth": [1, 1, IMAGE_SIZE, IMAGE_SIZE]})
+
+    def constant(value: float) -> Any:
+        return op.constant(np.float32(value))
+
+    def inverse_depth(depth: Any) -> Any:  # perception.preprocess.depth_input
+        scaled = op.divide(constant(2.0 * NEAREST_DEPTH_M), op.maximum(depth, constant(NEAREST_DEPTH_M)))
+        near = op.subtract(scaled, constant(1.0))
+        return op.select(op.greater(depth, constant(0.0)), near, constant(-1.0)).output(0)
+
+    steps = PrePostProcessor(model)
+    colour = steps.input("rgb")
+    colour.tensor().set_element_type(openvino.Type.u8).set_layout(openvino.Layout("NHWC"))
+    colour.model().set_layout(openvino.Layout("NCHW"))
+    colour.preprocess().convert_element_type(openvino.Type.f32).mean(127.5).scale(127.5)  # colour_input
+    steps.input("depth").preprocess().custom(inverse_depth)
+    return steps.build()
+
+
 class TorchBackend:
     """torch with folded batch norm and channels-last memory.
 
@@ -162,16 +291,38 @@ def make_backend(name: str, width: float = 0.25, threads: int | None = None) -> 
     """A back end over the shipped weights.
 
     Args:
-        name: "onnx" or "torch".
+        name: "onnx", "torch", "openvino" or "openvino-bf16".
         width: 1.0, 0.5 or 0.25.
         threads: see the classes.
 
     Raises:
         SpecError: no such back end (a ValueError).
+        BackendError: it is not installed.
         WeightsError: no such weights.
     """
     check_choice("backend", name, BACKENDS)
-    return OnnxBackend(width, threads=threads) if name == "onnx" else TorchBackend(width, threads=threads)
+    if name == "torch":
+        return TorchBackend(width, threads=threads)
+    return make_exported_backend(name, weights_path(width, "onnx"), threads)
+
+
+def make_exported_backend(name: str, path: str | Path, threads: int | None = None) -> Backend:
+    """A back end over an exported file.
+
+    Args:
+        name: "onnx", "openvino" or "openvino-bf16".
+        path: what `perception.weights_io.export_onnx` wrote.
+        threads: see the classes.
+
+    Raises:
+        SpecError: no such back end, or one that reads no exported files (a ValueError).
+        BackendError: it is not installed.
+        WeightsError: the file is missing or no network of ours.
+    """
+    check_choice("backend", name, EXPORTED_BACKENDS)
+    if name == "onnx":
+        return OnnxBackend(path=path, threads=threads)
+    return OpenVinoBackend(path=path, precision="bf16" if name == "openvino-bf16" else "f32", threads=threads)
 
 
 def as_grids(cls: np.ndarray, loc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

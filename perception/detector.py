@@ -15,7 +15,7 @@ class NetworkDetector:
 
     Args:
         width: 1.0, 0.5 or 0.25.
-        backend: "onnx" or "torch", or a back end of your own.
+        backend: one of `perception.backends.BACKENDS`, or a back end of your own.
         threads: see `perception.backends`.
 
     Raises:

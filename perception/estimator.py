@@ -12,6 +12,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from perception.backends import BACKENDS
 from perception.estimate import StairEstimate
 from perception.geometry import GRAVITY_STD_RAD, OMEGA_M, Geometry, attitude_angles, measure_stairs
 from perception.lines import SCORE_THRESHOLD, as_stair_lines, find_lines, to_image_pixels
@@ -24,7 +25,6 @@ LOGGER = logging.getLogger(__name__)
 
 METHODS = ("planes", "paper")
 WIDTHS = (1.0, 0.5, 0.25)
-BACKENDS = ("onnx", "torch")
 WEAK_SCORE_THRESHOLD = 0.3  # of cells that count if depth shows an edge there: coverage 85 % -> 90 % going up
 MIN_GRAVITY = 1e-3  # m/s^2: less is no direction
 MAX_INTRINSICS_MISMATCH_PX = 0.5
@@ -52,7 +52,8 @@ class StairEstimator(PicklesByArguments):
 
     Args:
         width: width factor of StairNetV2: 1.0, 0.5 or 0.25.
-        backend: "onnx" (fast on CPUs) or "torch".
+        backend: one of `perception.backends.BACKENDS`: "onnx" (default), "openvino" and
+            "openvino-bf16" (faster; an extra), or "torch".
         detector: used instead of the network when given (an ideal detector in tests, a model of your own).
         method: "planes" (default: fits treads and risers) or "paper" (equations 7 to 9).
         threshold: least class score of a cell; None: the paper's for its method, and less for "planes", where depth

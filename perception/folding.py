@@ -47,7 +47,7 @@ def _fold_bottleneck(block: Bottleneck, dense: bool) -> None:
 def _strided(focus: Focus) -> nn.Sequential:
     """A tensor slice and its folded 1 x 1 convolution as one 2 x 2 convolution of stride 2.
 
-    The slice alone took a sixth of ONNX Runtime's time at 0.25x: its copy of the picture is shuffled element by element.
+    The slice alone took a sixth of ONNX Runtime's time at 0.25x, which shuffles the picture element by element.
     """
     mix = focus.mix[0]
     assert isinstance(mix, nn.Conv2d)

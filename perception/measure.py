@@ -16,6 +16,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from perception.backends import BACKENDS
 from perception.estimate import StairEstimate
 from perception.estimator import StairEstimator
 from perception.ideal import IdealDetector
@@ -68,6 +69,7 @@ class MeasureConfig:
         poses: per staircase, direction and lighting.
         mode: D435i colour mode.
         stairs: which of the paper's staircases.
+        backend: of the network, one of `perception.backends.BACKENDS`.
 
     Raises:
         SpecError: a field is out of range (a ValueError).
@@ -78,9 +80,11 @@ class MeasureConfig:
     poses: int = 50
     mode: str = "640x480"
     stairs: tuple[PaperStair, ...] = PAPER_STAIRS
+    backend: str = "onnx"
 
     def __post_init__(self) -> None:
         check_choice("network", self.network, NETWORKS)
+        check_choice("backend", self.backend, BACKENDS)
         check_choice("mode", self.mode, tuple(D435I_COLOR_MODES))
         check_range("poses", self.poses, 1, 100_000)
 
@@ -263,7 +267,7 @@ class _Bench:
 
     def __init__(self, config: MeasureConfig, rng: np.random.Generator) -> None:
         self.ideal = IdealDetector(IDEAL_JITTER_PX, rng=rng) if config.network == "ideal" else None
-        first = StairEstimator(config.width, detector=self.ideal)
+        first = StairEstimator(config.width, config.backend, detector=self.ideal)
         self.planes = first
         self.paper = StairEstimator(config.width, detector=self.ideal or first.detector, method="paper")
         self.errors: dict[tuple[str, str, str], Errors] = defaultdict(Errors)
@@ -336,6 +340,7 @@ def _summary(config: MeasureConfig, bench: _Bench) -> dict[str, Any]:
     return {
         "network": config.network,
         "width": config.width,
+        "backend": config.backend,
         "poses": config.poses,
         "rows": list(_rows(config, merged)),
         "rmse_mm": {word: merged[METHODS[0], direction].rmse_mm() for direction, word in DIRECTION_WORDS.items()},

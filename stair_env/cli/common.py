@@ -14,6 +14,8 @@ from stair_env.progress import progress_bar
 from stair_env.provenance import atomic_path, provenance, write_json
 
 __all__ = [
+    "BACKENDS",
+    "add_backend_argument",
     "add_common_arguments",
     "atomic_path",
     "choice_list",
@@ -31,6 +33,18 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+
+BACKENDS = ("onnx", "torch", "openvino", "openvino-bf16")  # perception.backends.BACKENDS, which `--help` need not load
+
+
+def add_backend_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--backend`."""
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        default="onnx",
+        help="what runs the network; OpenVINO needs stair-env[openvino] (%(default)s)",
+    )
 
 
 def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int = 0) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, choice_list, positive_int, write_json
+from stair_env.cli.common import add_backend_argument, add_common_arguments, choice_list, positive_int, write_json
 
 NETWORKS = ("stairnet", "ideal")
 WIDTHS = (0.25, 0.5, 1.0)
@@ -21,6 +21,7 @@ def add_parser(subparsers: Any) -> None:
         "--network", choices=NETWORKS, default="stairnet", help="ideal: true lines, the floor of the geometry"
     )
     parser.add_argument("--width", type=float, choices=WIDTHS, default=0.5, help="of StairNetV2 (%(default)s)")
+    add_backend_argument(parser)
     parser.add_argument(
         "--poses", type=positive_int, default=50, help="camera poses per staircase, direction and light (%(default)s)"
     )
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from stair_env.paper_stairs import PAPER_STAIRS
 
     stairs = tuple(stair for stair in PAPER_STAIRS if stair.name in args.stairs)
-    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs)
+    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend)
     with tqdm(total=config.frames, desc="measure", unit="frame", dynamic_ncols=True) as bar:
         result = run_measurement(config, args.seed, bar.update)
     _print_table(result)

@@ -7,10 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, progress, write_json
+from stair_env.cli.common import add_backend_argument, add_common_arguments, progress, write_json
 
 WIDTHS = (0.25, 0.5, 1.0)
-BACKENDS = ("onnx", "torch")
 METHODS = ("planes", "paper")
 
 
@@ -37,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
         "--depth-scale", type=float, default=0.001, metavar="M", help="metres a unit of 16-bit depth (%(default)s)"
     )
     parser.add_argument("--width", type=float, choices=WIDTHS, default=0.25, help="of StairNetV2 (%(default)s)")
-    parser.add_argument("--backend", choices=BACKENDS, default="onnx", help="what runs the network (%(default)s)")
+    add_backend_argument(parser)
     parser.add_argument("--method", choices=METHODS, default="planes", help="geometry (%(default)s)")
     parser.add_argument("--output", type=Path, default=Path("perceived"), help="folder for pictures (%(default)s)")
     parser.add_argument("--no-pictures", action="store_true", help="write no annotated images")

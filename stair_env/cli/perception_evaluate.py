@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stair_env.cli.common import (
+    add_backend_argument,
     add_common_arguments,
     choice_list,
     limit_threads,
@@ -19,7 +20,6 @@ from stair_env.cli.common import (
 )
 
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
-BACKEND_NAMES = ("onnx", "torch")
 SUITES = ("stairnetv2", "classical", "paper")
 CLASSICAL_IMAGES = ("colour", "depth")
 
@@ -50,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--weights", type=Path, metavar="FILE", help="safetensors or onnx file instead of the shipped ones"
     )
-    parser.add_argument("--backend", choices=BACKEND_NAMES, default="onnx", help="what runs the network (%(default)s)")
+    add_backend_argument(parser)
     parser.add_argument(
         "--workers", type=positive_int, default=1, help="processes that render or read frames (%(default)s)"
     )
@@ -172,13 +172,13 @@ def _tuning_root(args: argparse.Namespace) -> Path:
 
 
 def _backend(args: argparse.Namespace, width: float) -> Any:
-    from perception.backends import OnnxBackend, TorchBackend, make_backend
+    from perception.backends import TorchBackend, make_backend, make_exported_backend
     from perception.weights_io import load_weights
 
     if args.weights is None:
         return make_backend(args.backend, width)
     if args.weights.suffix == ".onnx":
-        return OnnxBackend(path=args.weights)
+        return make_exported_backend(args.backend, args.weights)
     return TorchBackend(network=load_weights(args.weights, width))
 
 

@@ -1,3 +1,4 @@
+import importlib.util
 import subprocess
 import sys
 
@@ -5,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from perception.backends import OnnxBackend, TorchBackend, make_backend
+from perception.backends import (
+    BACKENDS,
+    BackendError,
+    OnnxBackend,
+    OpenVinoBackend,
+    TorchBackend,
+    make_backend,
+    make_exported_backend,
+)
 from perception.detector import NetworkDetector
 from perception.network import StairNetV2
 from perception.weights_io import (
@@ -18,6 +27,8 @@ from perception.weights_io import (
     save_weights,
     weights_path,
 )
+
+needs_openvino = pytest.mark.skipif(importlib.util.find_spec("openvino") is None, reason="openvino is not installed")
 
 
 def random_network(width: float = 0.25) -> StairNetV2:
@@ -62,13 +73,29 @@ def test_backends_agree(saved, frames):
         np.testing.assert_allclose(other[1], loc, atol=1e-3)
 
 
-def test_any_batch_size(saved, frames):
-    onnx = OnnxBackend(path=weights_path(0.25, "onnx", saved[0]), threads=1)
-    cls, loc = onnx(*frames)
-    alone = onnx(frames[0][2:], frames[1][2:])
+@needs_openvino
+def test_openvino_agrees(saved, frames):
+    path = weights_path(0.25, "onnx", saved[0])
+    cls, loc = OnnxBackend(path=path, threads=1)(*frames)
+    exact = OpenVinoBackend(path=path, threads=1)(*frames)
+    np.testing.assert_allclose(exact[0], cls, atol=1e-3)
+    np.testing.assert_allclose(exact[1], loc, atol=1e-3)
+    coarse = OpenVinoBackend(path=path, precision="bf16", threads=1)(*frames)
+    assert np.abs(coarse[0] - cls).mean() < 0.02  # 8 bits of mantissa, on a network with wild random weights
+    assert np.abs(coarse[1] - loc).mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "threads"),
+    [("onnx", 1), ("onnx", 2), *(pytest.param("openvino", n, marks=needs_openvino) for n in (1, 2))],
+)
+def test_any_batch_size(saved, frames, name, threads):
+    backend = make_exported_backend(name, weights_path(0.25, "onnx", saved[0]), threads)
+    cls, loc = backend(*frames)
+    alone = backend(frames[0][2:], frames[1][2:])
     np.testing.assert_allclose(alone[0][0], cls[2], atol=1e-5)
     np.testing.assert_allclose(alone[1][0], loc[2], atol=1e-5)
-    none = onnx(frames[0][:0], frames[1][:0])
+    none = backend(frames[0][:0], frames[1][:0])
     assert none[0].shape == (0, 32, 16)
     assert none[1].shape == (0, 32, 16, 8)
 
@@ -99,9 +126,35 @@ def test_weights_of_another_network_are_refused(saved, tmp_path):
         OnnxBackend(path=broken)
 
 
+@needs_openvino
+def test_openvino_refuses_what_is_no_network(saved, tmp_path):
+    broken = tmp_path / "broken.onnx"
+    broken.write_bytes(b"nothing")
+    with pytest.raises(WeightsError, match=r"broken\.onnx: cannot be loaded"):
+        OpenVinoBackend(path=broken)
+    with pytest.raises(WeightsError, match="no such file"):
+        OpenVinoBackend(path=tmp_path / "missing.onnx")
+    with pytest.raises(ValueError, match="'f32', 'bf16'"):
+        OpenVinoBackend(path=weights_path(0.25, "onnx", saved[0]), precision="f16")
+
+
+def test_without_openvino_the_error_says_how_to_install_it(saved, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openvino", None)  # as if it were not there
+    with pytest.raises(BackendError, match=r"stair-env\[openvino\]"):
+        make_exported_backend("openvino", weights_path(0.25, "onnx", saved[0]))
+
+
+def test_the_command_line_offers_every_backend():
+    from stair_env.cli import common
+
+    assert common.BACKENDS == BACKENDS
+
+
 def test_wrong_names_list_the_choices(saved):
     with pytest.raises(ValueError, match="onnx"):
         make_backend("tensorrt")
+    with pytest.raises(ValueError, match="openvino-bf16"):
+        make_exported_backend("torch", weights_path(0.25, "onnx", saved[0]))
     with pytest.raises(WeightsError, match=r"1\.0, 0\.5, 0\.25"):
         weights_path(0.3)
     with pytest.raises(WeightsError, match="safetensors, onnx, json"):
