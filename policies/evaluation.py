@@ -11,7 +11,7 @@ import dataclasses
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,7 @@ import numpy as np
 from policies.episode_log import EpisodeLog, Key
 from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
 from policies.rollout import GRAVITY, Episode, Predictor, ZeroAction, measurement_summary, run_episode
-from policies.stair_sets import DIRECTIONS, Cell, make_cells
+from policies.stair_sets import DIRECTIONS, GRID_RISERS_M, GRID_TREADS_M, Cell, make_cells
 from policies.statistics import wilson_interval
 from stair_env.robots import get_robot
 from stair_env.simulation import CONTROL_DT
@@ -70,6 +70,7 @@ class EvaluationConfig:
         sources: names in SOURCES.
         stairs: "paper", "grid" or "random".
         directions: any of "up", "down".
+        risers, treads: of the grid, metres.
         episodes: of each cell and source.
         seed: of all episodes.
         lighting: "day", "night" or "random".
@@ -86,6 +87,8 @@ class EvaluationConfig:
     sources: Sequence[str] = ("oracle", "gait")
     stairs: str = "paper"
     directions: Sequence[str] = DIRECTIONS
+    risers: Sequence[float] = GRID_RISERS_M
+    treads: Sequence[float] = GRID_TREADS_M
     episodes: int = 10
     seed: int = 0
     lighting: str = "day"
@@ -101,11 +104,16 @@ class EvaluationConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
         get_robot(self.robot)
+        self.cells()
         actors = {SOURCES[name].actor for name in self.sources}
         if "policy" in actors and self.policy is None:
             raise ValueError(f"policy=None: sources {', '.join(self.sources)} need a policy")
         if "blind" in actors and self.blind_policy is None:
             raise ValueError("blind_policy=None: source 'blind' needs a policy trained with stair_source='blind'")
+
+    def cells(self) -> list[Cell]:
+        """What is climbed, in the order that seeds and records count by."""
+        return make_cells(self.stairs, self.directions, self.risers, self.treads)
 
 
 Records = dict[tuple[str, int], list[Episode]]
@@ -150,7 +158,7 @@ def run_all(
         ValueError: a policy cannot be loaded or does not fit.
         concurrent.futures.process.BrokenProcessPool: a worker died.
     """
-    cells = make_cells(config.stairs, config.directions)
+    cells = config.cells()
     jobs = plan_jobs(config, cells)
     found = dict(log.episodes) if log else {}
     left = [
@@ -176,13 +184,13 @@ def run_all(
 
 def episode_settings(config: EvaluationConfig) -> dict[str, Any]:
     """What an episode depends on beside source, policy, cell and seed, of which more may follow later."""
-    names = ("robot", "stairs", "directions", "seed", "lighting", "env_kwargs")
+    names = ("robot", "stairs", "directions", "risers", "treads", "seed", "lighting", "env_kwargs")
     return {name: getattr(config, name) for name in names}
 
 
 def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
     """`cells` and `overall` as `stair-env evaluate --json` writes them."""
-    cells = make_cells(config.stairs, config.directions)
+    cells = config.cells()
     mass = get_robot(config.robot).mass
     rows = [
         _describe_cell(source, cells[index]) | summarise(episodes, SOURCES[source].perceived, mass)
@@ -208,7 +216,7 @@ def film_chosen(config: EvaluationConfig, records: Records, folder: Path | str) 
     """
     from policies.film import Film, open_video
 
-    cells, videos = make_cells(config.stairs, config.directions), []
+    cells, videos = config.cells(), []
     with contextlib.closing(_Worker()) as worker:
         for job in plan_jobs(config, cells):
             for seed in job.seeds:
@@ -352,5 +360,4 @@ def _limit_torch() -> None:
 
 def count_episodes(config: EvaluationConfig) -> int:
     """How many episodes `evaluate` will run."""
-    cells: Iterable[Cell] = make_cells(config.stairs, config.directions)
-    return len(list(cells)) * config.episodes * len(config.sources)
+    return len(config.cells()) * config.episodes * len(config.sources)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from stair_env.paper_stairs import PAPER_STAIRS
-from stair_env.stairs import check_choice
+from stair_env.stairs import RISER_RANGE_M, TREAD_RANGE_M, check_choice, check_range
 
 DIRECTIONS = ("up", "down")
 NUM_STEPS = 6
@@ -55,30 +55,41 @@ def _paper(direction: str) -> list[Cell]:
     return cells
 
 
-def _grid(direction: str) -> list[Cell]:
-    return [Cell(direction, riser, tread) for riser in GRID_RISERS_M for tread in GRID_TREADS_M]
-
-
 def _random(direction: str) -> list[Cell]:
     return [Cell(direction, RANDOM_RISER_M, RANDOM_TREAD_M, RANDOM_NUM_STEPS)]
 
 
-STAIR_SETS = {"paper": _paper, "grid": _grid, "random": _random}
+STAIR_SETS = ("paper", "grid", "random")
 
 
-def make_cells(stairs: str, directions: Iterable[str] = DIRECTIONS) -> list[Cell]:
+def make_cells(
+    stairs: str,
+    directions: Iterable[str] = DIRECTIONS,
+    risers: Sequence[float] = GRID_RISERS_M,
+    treads: Sequence[float] = GRID_TREADS_M,
+) -> list[Cell]:
     """Cells of a set, for each direction.
 
     Args:
         stairs: "paper" (the six of table 7), "grid" (risers x treads) or "random".
         directions: any of "up", "down".
+        risers, treads: of the grid, metres.
 
     Raises:
-        SpecError: unknown set or direction (a ValueError).
+        SpecError: unknown set or direction, or a size that no staircase has (a ValueError).
     """
-    check_choice("stairs", stairs, tuple(STAIR_SETS))
+    check_choice("stairs", stairs, STAIR_SETS)
     cells: list[Cell] = []
     for direction in directions:
         check_choice("direction", direction, DIRECTIONS)
-        cells.extend(STAIR_SETS[stairs](direction))
+        if stairs == "paper":
+            cells.extend(_paper(direction))
+        elif stairs == "random":
+            cells.extend(_random(direction))
+        else:
+            for riser in risers:
+                check_range("risers", riser, *RISER_RANGE_M)
+                for tread in treads:
+                    check_range("treads", tread, *TREAD_RANGE_M)
+                    cells.append(Cell(direction, riser, tread))
     return cells

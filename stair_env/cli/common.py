@@ -22,6 +22,7 @@ __all__ = [
     "json_object",
     "json_path",
     "limit_threads",
+    "number_list",
     "positive_int",
     "progress",
     "progress_bar",
@@ -90,6 +91,11 @@ def _number(text: str) -> float:
 def seed_list(text: str) -> tuple[int, ...]:
     """Parse comma-separated seeds; repeats are dropped."""
     return tuple(dict.fromkeys(seed_value(item) for item in text.split(",")))
+
+
+def number_list(text: str) -> tuple[float, ...]:
+    """Parse comma-separated numbers > 0; repeats are dropped."""
+    return tuple(dict.fromkeys(positive_float(item) for item in text.split(",")))
 
 
 def _whole_number(text: str, minimum: int) -> int:

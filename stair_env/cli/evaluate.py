@@ -7,7 +7,15 @@ import os
 from pathlib import Path
 from typing import Any
 
-from stair_env.cli.common import add_common_arguments, choice_list, json_object, limit_threads, positive_int, write_json
+from stair_env.cli.common import (
+    add_common_arguments,
+    choice_list,
+    json_object,
+    limit_threads,
+    number_list,
+    positive_int,
+    write_json,
+)
 
 SOURCES = ("oracle", "stairnet", "blind", "shuffled", "gait", "noisy")
 DIRECTIONS = ("up", "down")
@@ -41,6 +49,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--direction", type=choice_list(DIRECTIONS), default=DIRECTIONS, metavar="LIST", help="up, down (both)"
     )
+    parser.add_argument(
+        "--risers", type=number_list, metavar="LIST", help="of the grid, metres, comma-separated (0.08,0.11,0.14,0.17)"
+    )
+    parser.add_argument("--treads", type=number_list, metavar="LIST", help="likewise (0.25,0.30,0.35)")
     parser.add_argument("--episodes", type=positive_int, default=10, help="of each cell and source (%(default)s)")
     parser.add_argument("--lighting", choices=("day", "night", "random"), default="day", help="(%(default)s)")
     parser.add_argument(
@@ -71,6 +83,9 @@ def run(args: argparse.Namespace) -> int:
 
     policy = args.policy or args.robot
     actors = {evaluation.SOURCES[name].actor for name in args.source}
+    sizes = {name: getattr(args, name) for name in ("risers", "treads") if getattr(args, name)}
+    if sizes and args.stairs != "grid":
+        raise ValueError(f"--{next(iter(sizes))} is for --stairs grid, not {args.stairs}")
     config = evaluation.EvaluationConfig(
         policy=policy if "policy" in actors else None,
         blind_policy=(args.blind_policy or f"{policy}-blind") if "blind" in actors else None,
@@ -83,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
         lighting=args.lighting,
         env_kwargs=args.env_kwargs,
         workers=args.workers,
+        **sizes,
     )
     _check_policies(config)
     log = (

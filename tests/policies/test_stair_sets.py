@@ -32,3 +32,13 @@ def test_unknown_names_list_the_choices() -> None:
         make_cells("spiral")
     with pytest.raises(SpecError, match="'up', 'down'"):
         make_cells("grid", ["sideways"])
+
+
+def test_a_grid_of_ones_own() -> None:
+    cells = make_cells("grid", ["down"], risers=(0.06, 0.12), treads=(0.3,))
+    assert [(cell.direction, cell.riser_height, cell.tread_depth) for cell in cells] == [
+        ("down", 0.06, 0.3),
+        ("down", 0.12, 0.3),
+    ]
+    with pytest.raises(SpecError, match="risers"):
+        make_cells("grid", risers=(1.0,))
