@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import signal
 import sys
 import traceback
@@ -20,11 +21,13 @@ import gymnasium as gym
 import numpy as np
 
 from stair_env.shared_arrays import SharedArrays
+from stair_env.watch import Watch
 
 EnvFactory = Callable[[], gym.Env]
 Request = tuple[int, str, tuple[Any, ...]]  # number, command, arguments
 OBSERVATION = "observation/"  # prefix of the shared arrays that hold the observation, one per key
 STAIRS, STAIRS_GIVEN = "stairs", "stairs given"  # blocks for the gaits, and whether there are new ones
+AWAKE_S = 5e-4  # how long one who waits for the other side of a pipe stays awake: a parent's work between two steps
 ORPHAN_CHECK_S = 2.0  # how often an idle worker looks whether its parent still lives
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -209,9 +212,11 @@ def run_worker(pickled_task: Callable[[], WorkerTask], shared: SharedArrays, con
     _settle_in()
     parent = os.getppid()
     worker = Worker(pickled_task(), shared.views())
+    watch = Watch()
+    watch.add(connection)
     try:
         _answer(connection, worker, (0, "build", ()))
-        while request := _next_request(connection, parent):
+        while request := _next_request(connection, watch, parent):
             _answer(connection, worker, request)
     finally:
         with contextlib.suppress(Exception):
@@ -227,10 +232,10 @@ def _settle_in() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _next_request(connection: Connection, parent: int) -> Request | None:
+def _next_request(connection: Connection, watch: Watch, parent: int) -> Request | None:
     """The next request; None when there will be none."""
     try:
-        while not connection.poll(ORPHAN_CHECK_S):
+        while not watch.ready(ORPHAN_CHECK_S, AWAKE_S):
             if os.getppid() != parent:  # under fork, siblings hold the pipe open when the parent is gone
                 return None
         request: Request | None = connection.recv()
@@ -250,7 +255,7 @@ def _answer(connection: Connection, worker: Worker, request: Request) -> None:
         except AttributeError:
             is_attribute_error = True
             raise
-        connection.send((number, result))
+        connection.send_bytes(pickle.dumps((number, result), pickle.HIGHEST_PROTOCOL))  # `send` is slow at small things
     except BrokenPipeError:
         return
     except Exception:

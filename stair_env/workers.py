@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
+import pickle
 import signal
 import time
 import weakref
@@ -27,6 +28,7 @@ from stair_env.shared_arrays import ArrayLayout, SharedArrays
 from stair_env.stairs import check_choice
 from stair_env.watch import Watch
 from stair_env.worker_process import (
+    AWAKE_S,
     OBSERVATION,
     STAIRS,
     STAIRS_GIVEN,
@@ -123,7 +125,10 @@ class WorkerPool:
             raise ValueError(f"actions have shape {actions.shape}, must be {self.actions.shape}")
         self._check_ready()
         self.actions[:] = actions
-        self._send(range(len(self.shares)), lambda worker: ("step", ()))
+        self._number += 1
+        message = pickle.dumps((self._number, "step", ()))
+        for worker in range(len(self.shares)):
+            self._send(worker, message)
         self._pending = True
 
     def provide_stairs(self, blocks: np.ndarray) -> None:
@@ -223,18 +228,19 @@ class WorkerPool:
         self._check_ready()
         own = {worker: [i for i in indices if i in share] for worker, share in enumerate(self.shares)}
         asked = [worker for worker, chosen in own.items() if chosen]
-        self._send(asked, lambda worker: (command, arguments(own[worker])))
+        self._number += 1
+        for worker in asked:
+            self._send(worker, pickle.dumps((self._number, command, arguments(own[worker]))))
         order = [i for worker in asked for i in own[worker]]
         results = self._gather(asked, f"{command}()")
         return dict(zip(order, results, strict=False))
 
-    def _send(self, workers: Sequence[int], request: Callable[[int], Any]) -> None:
-        self._number += 1
-        for worker in workers:
-            try:
-                self._connections[worker].send((self._number, *request(worker)))
-            except (BrokenPipeError, ConnectionResetError):
-                self._report_death(worker, "idleness")
+    def _send(self, worker: int, message: bytes) -> None:
+        """Send a pickled request."""
+        try:
+            self._connections[worker].send_bytes(message)
+        except (BrokenPipeError, ConnectionResetError):
+            self._report_death(worker, "idleness")
 
     def _gather(self, workers: Sequence[int], doing: str) -> list[Any]:
         answers = self._collect(workers, doing)
@@ -245,7 +251,8 @@ class WorkerPool:
         answers: dict[int, Any] = {}
         deadline = time.monotonic() + self._timeout_s
         while len(answers) < len(workers):
-            ready = self._watch.ready(DEATH_CHECK_S)
+            # While nobody has answered, the workers need the cores more than whoever waits for them.
+            ready = self._watch.ready(DEATH_CHECK_S, AWAKE_S if answers else 0.0)
             if not ready and time.monotonic() > deadline:
                 late = next(worker for worker in workers if worker not in answers)
                 self._break(f"{self._name(late)} has not answered for {self._timeout_s:g} s ({doing})")
