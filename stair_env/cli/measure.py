@@ -1,21 +1,33 @@
-"""`stair-env measure`: the paper's table 7 on simulated D435i frames."""
+"""`stair-env measure`: the paper's table 7 on simulated D435i frames, or the same stairs seen by a walking robot."""
 
 from __future__ import annotations
 
 import argparse
 from typing import Any
 
-from stair_env.cli.common import add_backend_argument, add_common_arguments, choice_list, positive_int, write_json
+from stair_env.cli.common import (
+    add_backend_argument,
+    add_common_arguments,
+    choice_list,
+    limit_threads,
+    positive_int,
+    progress_bar,
+    write_json,
+)
 
 NETWORKS = ("stairnet", "ideal")
 WIDTHS = (0.25, 0.5, 1.0)
+DRIVERS = ("tracked", "true")
 STAIR_NAMES = tuple(f"Stair{number}" for number in range(1, 7))
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
-        "measure", help="errors of step width and height on the paper's six stairs", description=__doc__
+        "measure",
+        help="errors of step width and height on the paper's six stairs",
+        description="Errors of step width and height on the paper's six stairs: in single frames (table 7), or with "
+        "--walking in what the tracker makes of them while a robot walks over whole flights.",
     )
     parser.add_argument(
         "--network", choices=NETWORKS, default="stairnet", help="ideal: true lines, the floor of the geometry"
@@ -27,11 +39,50 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--stairs", type=choice_list(STAIR_NAMES), default=STAIR_NAMES, help="comma-separated (all)")
     parser.add_argument("--mode", default="640x480", help="D435i colour mode (%(default)s)")
+    walking = parser.add_argument_group("walking")
+    walking.add_argument("--walking", action="store_true", help="walk over the stairs instead of taking single frames")
+    walking.add_argument(
+        "--drivers",
+        type=choice_list(DRIVERS),
+        default=DRIVERS,
+        help="stairs that the gait reads, comma-separated (both)",
+    )
+    walking.add_argument(
+        "--flights", type=positive_int, default=4, help="walks per staircase, direction and driver (%(default)s)"
+    )
+    walking.add_argument("--robot", default="aliengo", help="which walks (%(default)s)")
+    walking.add_argument("--workers", type=positive_int, default=1, help="processes that walk (%(default)s)")
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the table, write the JSON."""
+    return _run_walks(args) if args.walking else _run_frames(args)
+
+
+def _run_walks(args: argparse.Namespace) -> int:
+    limit_threads(1)
+    from perception.live import LiveConfig, run_walks
+    from stair_env.paper_stairs import PAPER_STAIRS
+
+    if args.network != "stairnet":
+        raise ValueError(f"--network {args.network} takes single frames; --walking needs stairnet")
+    stairs = tuple(stair for stair in PAPER_STAIRS if stair.name in args.stairs)
+    config = LiveConfig(args.drivers, args.flights, args.width, args.backend, args.robot, stairs, args.workers)
+    with progress_bar(config.walks, "measure", unit="flight") as bar:
+        result = run_walks(config, args.seed, bar.update)
+    print(f"{'':<34}{'width':>8}{'height':>8}{'next edge':>11}{'valid':>9}{'flights':>9}")
+    for name, row in result["overall"].items():
+        errors = (row[f"{error}_rmse_mm"] for error in ("width", "height", "next_edge"))
+        cells = ["-" if error is None else f"{error:.1f}" for error in errors]
+        print(f"{name:<34}{cells[0]:>8}{cells[1]:>8}{cells[2]:>11}{row['valid']:>9.1%}{row['flights']:>9}")
+    print("Root mean square errors in mm; valid: share of the time from 1.5 m before the first step on.")
+    if args.json is not None:
+        write_json(args.json, result, seed=args.seed)
+    return 0
+
+
+def _run_frames(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from perception.measure import MeasureConfig, run_measurement
