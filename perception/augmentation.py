@@ -31,9 +31,7 @@ class AugmentationConfig:
         noise: probability of added colour noise.
         depth_scale: standard deviation of a relative depth error of the whole frame.
         depth_holes: probability of a few rectangles without depth.
-        drop_colour, drop_depth: probability of a black image and of no depth at all; never both. Depth alone tells
-            nearly everything, colour alone is hard to read, so colour must be practised more: with 0.08 each, IOU on
-            depth alone was 89 % and on colour alone 34 %.
+        drop_colour, drop_depth: probability of a black image and of no depth at all; never both.
 
     Raises:
         ValueError: a value is out of range.
@@ -48,7 +46,7 @@ class AugmentationConfig:
     depth_scale: float = 0.01
     depth_holes: float = 0.15
     drop_colour: float = 0.08
-    drop_depth: float = 0.3
+    drop_depth: float = 0.08
 
     def __post_init__(self) -> None:
         names = ("mirror", "shift", "photometric", "grey", "noise", "depth_holes", "drop_colour", "drop_depth")
