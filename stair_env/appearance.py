@@ -11,16 +11,17 @@ Colours are linear RGB, 1.0 being a white sheet under a light of intensity 1 tha
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from stair_env.scene import Vector3
-from stair_env.stairs import SpecError, check_choice, check_range
+from stair_env.stairs import JsonSpec, SpecError, check_choice, check_range, from_fields
 from stair_env.textures import MATERIALS, Texture, make_texture
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Lighting = Literal["day", "night"]
 
@@ -43,20 +44,6 @@ def check_vector(name: str, value: Sequence[float], low: float, high: float) -> 
     for part in (x, y, z):
         check_range(name, part, low, high)
     return (x, y, z)
-
-
-def from_fields(cls: type, values: Any) -> Any:
-    """Build dataclass cls from a dict of its fields.
-
-    Raises:
-        SpecError: values is no dict or holds an unknown field.
-    """
-    if not isinstance(values, dict):
-        raise SpecError(f"a {cls.__name__} is a JSON object, got {type(values).__name__}")
-    names = tuple(field.name for field in dataclasses.fields(cls))
-    for name in values:
-        check_choice("field", name, names)
-    return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -128,7 +115,7 @@ class NosingStrip:
 
 
 @dataclass(frozen=True)
-class AppearanceSpec:
+class AppearanceSpec(JsonSpec):
     """Materials and light of a scene, JSON-able and validated.
 
     Args:
@@ -218,24 +205,8 @@ class AppearanceSpec:
         found: SurfaceLook = getattr(self, surface)
         return found
 
-    def to_json(self) -> str:
-        """One JSON object; `from_json` rebuilds an equal spec."""
-        return json.dumps(dataclasses.asdict(self))
-
     @classmethod
-    def from_json(cls, text: str) -> AppearanceSpec:
-        """Rebuild a spec.
-
-        Raises:
-            SpecError: the text is not a JSON object of this class's fields.
-        """
-        try:
-            return cls.from_dict(json.loads(text))
-        except json.JSONDecodeError as error:
-            raise SpecError(f"not JSON: {error}") from None
-
-    @classmethod
-    def from_dict(cls, values: Any) -> AppearanceSpec:
+    def from_dict(cls, values: Any) -> Self:
         """Rebuild a spec from `dataclasses.asdict` output.
 
         Raises:
@@ -250,5 +221,5 @@ class AppearanceSpec:
                 values["distractors"] = tuple(from_fields(SurfaceLook, look) for look in values["distractors"])
             if values.get("nosing_strip") is not None:
                 values["nosing_strip"] = from_fields(NosingStrip, values["nosing_strip"])
-        built: AppearanceSpec = from_fields(cls, values)
+        built: Self = from_fields(cls, values)
         return built

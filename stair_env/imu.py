@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stair_env.body_kernels import digitise
-from stair_env.stairs import SpecError, check_choice, check_range
+from stair_env.stairs import SpecError, check_choice, check_range, from_fields
 
 GRAVITY_M_S2 = 9.81
 STANDARD_GRAVITY_M_S2 = 9.80665  # one g of the sensor's range
@@ -81,9 +81,8 @@ class ImuConfig:
             return cls.ideal() if values == "ideal" else cls()
         if not isinstance(values, dict):
             raise SpecError(f"imu={values!r} must be a preset ({', '.join(IMU_PRESETS)}) or a dict of ImuConfig fields")
-        for name in values:
-            check_choice("imu field", name, tuple(entry.name for entry in dataclasses.fields(cls)))
-        return cls(**values)
+        built: ImuConfig = from_fields(cls, values, "imu")
+        return built
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a JSON-able dict."""

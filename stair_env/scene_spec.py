@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stair_env.appearance import AppearanceSpec, NosingStrip, from_fields
+from stair_env.appearance import AppearanceSpec, NosingStrip
 from stair_env.distractors import DistractorSpec
 from stair_env.scene import Shape, box_between, build_stair_shapes
-from stair_env.stairs import SpecError, StairEdge, StairSpec
+from stair_env.stairs import JsonSpec, SpecError, StairEdge, StairSpec, from_fields
 from stair_env.surroundings import SurroundingsSpec, build_surroundings
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STRIP_THICKNESS_M = 0.001  # by which a strip stands out: enough to be drawn, far below what a depth camera resolves
 STRIP_DROP_M = 0.012  # how far a strip without setback reaches down over the nosing
 
 
 @dataclass(frozen=True)
-class SceneSpec:
+class SceneSpec(JsonSpec):
     """Stairs or none, how they look, what stands around them; JSON-able, and enough to rebuild the scene.
 
     Args:
@@ -55,24 +57,8 @@ class SceneSpec:
         """Whether no staircase is there to be seen."""
         return self.stairs is None
 
-    def to_json(self) -> str:
-        """One JSON object; `from_json` rebuilds an equal spec."""
-        return json.dumps(dataclasses.asdict(self))
-
     @classmethod
-    def from_json(cls, text: str) -> SceneSpec:
-        """Rebuild a spec.
-
-        Raises:
-            SpecError: the text is not a JSON object of this class's fields.
-        """
-        try:
-            return cls.from_dict(json.loads(text))
-        except json.JSONDecodeError as error:
-            raise SpecError(f"not JSON: {error}") from None
-
-    @classmethod
-    def from_dict(cls, values: Any) -> SceneSpec:
+    def from_dict(cls, values: Any) -> Self:
         """Rebuild a spec from `dataclasses.asdict` output.
 
         Raises:
@@ -89,7 +75,7 @@ class SceneSpec:
             values["distractors"] = tuple(
                 from_fields(DistractorSpec, distractor) for distractor in values.get("distractors", ())
             )
-        built: SceneSpec = from_fields(cls, values)
+        built: Self = from_fields(cls, values)
         return built
 
 

@@ -16,9 +16,12 @@ import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Direction = Literal["up", "down", "up_down"]
 WalkingDirection = Literal["up", "down"]
@@ -131,8 +134,58 @@ class StairProfile:
         return np.diff(self.level_z)
 
 
+def from_fields(cls: type, values: Any, what: str = "") -> Any:
+    """Build dataclass cls from a dict of its fields, of which any may be left out that has a default.
+
+    Args:
+        cls: a dataclass.
+        values: what JSON held.
+        what: name of the value in messages; the class's when not given.
+
+    Raises:
+        SpecError: values is no dict or holds an unknown field.
+    """
+    if not isinstance(values, dict):
+        raise SpecError(f"{what or cls.__name__}={values!r} must be a dict of {cls.__name__} fields")
+    names = tuple(entry.name for entry in dataclasses.fields(cls))
+    for name in values:
+        check_choice(f"{what} field".strip(), name, names)
+    return cls(**values)
+
+
+class JsonSpec:
+    """What every specification of stairs and scenes can do: turn into JSON and back, unchanged."""
+
+    def to_json(self) -> str:
+        """One JSON object; `from_json` rebuilds an equal spec."""
+        return json.dumps(dataclasses.asdict(self))  # type: ignore[call-overload]
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Rebuild a spec.
+
+        Raises:
+            SpecError: the text is not a JSON object of this class's fields.
+        """
+        try:
+            values: Any = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise SpecError(f"not JSON: {error}") from None
+        return cls.from_dict(values)
+
+    @classmethod
+    def from_dict(cls, values: Any) -> Self:
+        """Rebuild a spec from `dataclasses.asdict` output.
+
+        Raises:
+            SpecError: values is no dict or holds an unknown field.
+        """
+        built: Self = from_fields(cls, values)
+        return built
+
+
 @dataclass(frozen=True)
-class StairSpec:
+class StairSpec(JsonSpec):
     """A staircase, JSON-able and validated.
 
     Args:
@@ -235,34 +288,3 @@ class StairSpec:
             if not self.open_risers:
                 found.append(StairEdge("concave", float(riser_x), float(low), -half, half, step))
         return tuple(found)
-
-    def to_json(self) -> str:
-        """One JSON object; `from_json` rebuilds an equal spec."""
-        return json.dumps(dataclasses.asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> StairSpec:
-        """Rebuild a spec.
-
-        Raises:
-            SpecError: the text is not a JSON object of this class's fields.
-        """
-        try:
-            values: Any = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise SpecError(f"not JSON: {error}") from None
-        return cls.from_dict(values)
-
-    @classmethod
-    def from_dict(cls, values: Any) -> StairSpec:
-        """Rebuild a spec from `dataclasses.asdict` output.
-
-        Raises:
-            SpecError: values is no dict or holds an unknown field.
-        """
-        names = tuple(field.name for field in dataclasses.fields(cls))
-        if not isinstance(values, dict):
-            raise SpecError(f"a StairSpec is a JSON object, got {type(values).__name__}")
-        for name in values:
-            check_choice("field", name, names)
-        return cls(**values)

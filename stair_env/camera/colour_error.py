@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stair_env.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile
-from stair_env.stairs import check_choice, check_range
+from stair_env.stairs import check_range, from_fields
 
 MAX_SMEAR_PX = 40.0  # longer trails are cut; at 15 frames a second they mean a fall
 _MAX_SMEAR_TAPS = 12
@@ -89,11 +89,8 @@ class ColourErrorConfig:
         Raises:
             ValueError: values is no dict, holds an unknown field or a wrong value.
         """
-        if not isinstance(values, dict):
-            raise ValueError(f"colour_error={values!r} must be a dict of ColourErrorConfig fields")
-        for name in values:
-            check_choice("colour_error field", name, tuple(field.name for field in dataclasses.fields(cls)))
-        return cls(**values)
+        built: ColourErrorConfig = from_fields(cls, values, "colour_error")
+        return built
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a JSON-able dict."""

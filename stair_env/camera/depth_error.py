@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stair_env.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile, uniform_tile
-from stair_env.stairs import SpecError, check_choice, check_range
+from stair_env.stairs import SpecError, check_range, from_fields
 
 if TYPE_CHECKING:
     from stair_env.camera.intrinsics import Intrinsics
@@ -101,11 +101,8 @@ class DepthErrorConfig:
         Raises:
             SpecError: values is no dict, holds an unknown field or a wrong value.
         """
-        if not isinstance(values, dict):
-            raise SpecError(f"depth_error={values!r} must be a dict of DepthErrorConfig fields")
-        for name in values:
-            check_choice("depth_error field", name, tuple(field.name for field in dataclasses.fields(cls)))
-        return cls(**values)
+        built: DepthErrorConfig = from_fields(cls, values, "depth_error")
+        return built
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a JSON-able dict."""
