@@ -52,8 +52,8 @@ class StairEstimator(PicklesByArguments):
 
     Args:
         width: width factor of StairNetV2: 1.0, 0.5 or 0.25.
-        backend: one of `perception.backends.BACKENDS`: "onnx" (default), "openvino" and
-            "openvino-bf16" (faster; an extra), or "torch".
+        backend: one of `perception.backends.BACKENDS`: "onnx" (default), "openvino" (faster;
+            an extra) or "torch".
         detector: used instead of the network when given (an ideal detector in tests, a model of your own).
         method: "planes" (default: fits treads and risers) or "paper" (equations 7 to 9).
         threshold: least class score of a cell; None: the paper's for its method, and less for "planes", where depth

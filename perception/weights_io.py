@@ -62,7 +62,7 @@ def weights_path(width: float, kind: str = "safetensors", folder: Path = WEIGHTS
         there = ", ".join(map(str, available_widths(kind, folder))) or "none"
         raise WeightsError(
             f"no {kind} weights for width={width} in {folder}; there are: {there}. "
-            "`stair-env perception-train --export` writes them"
+            "`stair-env perception-train --export` writes them, and `stair-env perception-export` the onnx file"
         )
     return path
 

@@ -35,7 +35,7 @@ __all__ = [
 
 T = TypeVar("T")
 
-BACKENDS = ("onnx", "torch", "openvino", "openvino-bf16")  # perception.backends.BACKENDS, which `--help` need not load
+BACKENDS = ("onnx", "torch", "openvino")  # perception.backends.BACKENDS, which `--help` need not load
 
 
 def add_backend_argument(parser: argparse.ArgumentParser) -> None:

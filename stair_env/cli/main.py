@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "perceive": "measure stairs in RGB-D images",
     "dataset": "write a labelled RGB-D data set",
     "perception-train": "train StairNetV2",
+    "perception-export": "write trained weights for ONNX Runtime and OpenVINO",
     "perception-evaluate": "accuracy, recall and IOU of a detector",
     "measure": "errors of step width and height on the paper's six stairs",
     "bench": "time and memory ratios, each pair measured in one run",
