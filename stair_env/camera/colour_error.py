@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,14 +163,24 @@ class ColourErrorModel:
         Raises:
             ValueError: an argument has a wrong shape or dtype.
         """
+        return self.begin(rgb, rng, pixel_motion)()
+
+    def begin(
+        self, rgb: np.ndarray, rng: np.random.Generator, pixel_motion: Sequence[float] | np.ndarray | None = None
+    ) -> Callable[[], np.ndarray]:
+        """Draw all that `apply` draws; the function that is returned does the rest, in any thread."""
         _check_frame(rgb, rng)
         motion = _check_motion(pixel_motion)
         config = self.config
         exposure = math.exp(config.exposure_jitter * float(rng.standard_normal()))
         offset_v, offset_u = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
         gain = config.max_gain ** self.darkness(rgb)
-        image = self._blurred(np.ascontiguousarray(rgb), motion)
-        return self._exposed(image, exposure, gain, int(offset_v), int(offset_u))
+
+        def work() -> np.ndarray:
+            image = self._blurred(np.ascontiguousarray(rgb), motion)
+            return self._exposed(image, exposure, gain, int(offset_v), int(offset_u))
+
+        return work
 
     def _blurred(self, rgb: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """Lens blur, then the trail that motion leaves."""

@@ -9,6 +9,7 @@ to millimetres. docs/sensors.md lists every number with its source.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -187,20 +188,48 @@ class DepthErrorModel:
         Raises:
             ValueError: an argument has a wrong shape or dtype.
         """
+        return self.begin(depth_m, rgb, intrinsics, rng)()
+
+    def begin(
+        self, depth_m: np.ndarray, rgb: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+    ) -> Callable[[], np.ndarray]:
+        """Draw all that `apply` draws and begin; the function that is returned does the rest, in any thread."""
         _check_frame(depth_m, rgb, intrinsics, rng)
+        from stair_env.camera import depth_kernels as kernels
+        from stair_env.camera.renderers.threads import later
+
+        offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
+        depth_m = np.ascontiguousarray(depth_m)
+        buffers = self._borrow_buffers(depth_m.shape)
+        kernels.to_disparity(depth_m, self._focal_baseline(), buffers[0])
+        corners = later(lambda: self._hole_corners(rgb, buffers[0]))
+        return lambda: self._measure(depth_m, intrinsics, offsets, buffers, corners)
+
+    def _measure(
+        self,
+        depth_m: np.ndarray,
+        intrinsics: Intrinsics,
+        offsets: np.ndarray,
+        buffers: np.ndarray,
+        corners: Callable[[], np.ndarray],
+    ) -> np.ndarray:
+        """Shadows, edges, noise and holes.
+
+        Args:
+            depth_m: exact, (H, W) float32, metres.
+            intrinsics: of the image.
+            offsets: places in the noise tables where this frame begins.
+            buffers: (3, H, W) float32, the first the exact disparity, the others scratch; given back.
+            corners: returns the hole probability at the corners of the cells.
+        """
         from stair_env.camera import depth_kernels as kernels
 
         config, width = self.config, depth_m.shape[1]
-        offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
-        depth_m = np.ascontiguousarray(depth_m)
-        focal_baseline = np.float32(config.focal_px * config.baseline_m)
         magnification = intrinsics.fx / config.focal_px  # image pixels per pixel of the depth imager
         normal, uniform = _noise_tables(config.window_px * magnification, width)
 
         mark = np.empty(-(-width // 8) * 8, np.uint8)
-        buffers = self._borrow_buffers(depth_m.shape)
         disparity, measured, blurred = buffers
-        kernels.to_disparity(depth_m, focal_baseline, disparity)
         right, left = _imager_shifts(config, magnification)
         kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)
         if config.flying_share > 0.0 or config.edge_jitter_px > 0.0:
@@ -222,14 +251,14 @@ class DepthErrorModel:
         kernels.finish(
             measured,
             depth_m,
-            focal_baseline,
+            self._focal_baseline(),
             np.float32(config.disparity_noise_px),
             np.float32(config.disparity_quantum_px),
             np.float32(1.0 + self._scale_bias),
             np.float32(config.depth_unit_m),
             np.float32(config.min_range_m),
             np.float32(config.max_range_m),
-            self._hole_corners(rgb, disparity),
+            corners(),
             normal,
             uniform,
             offsets,
@@ -238,6 +267,10 @@ class DepthErrorModel:
         )
         self._spare.append(buffers)
         return out
+
+    def _focal_baseline(self) -> np.float32:
+        """Focal length times baseline of the depth imagers, pixels times metres."""
+        return np.float32(self.config.focal_px * self.config.baseline_m)
 
     def _borrow_buffers(self, shape: tuple[int, ...]) -> np.ndarray:
         """(3, H, W) float32 scratch; fresh pages of memory cost as much as the arithmetic. Safe between threads."""
@@ -261,8 +294,7 @@ class DepthErrorModel:
         statistics = [np.empty((rows, columns), np.float32) for _ in range(4)]
         kernels.cell_statistics(np.ascontiguousarray(rgb), disparity, *statistics)
         level, texture, glare, mean_disparity = statistics
-        focal_baseline = np.float32(config.focal_px * config.baseline_m)
-        cells = hole_probability(config, level, texture, glare, mean_disparity / focal_baseline)
+        cells = hole_probability(config, level, texture, glare, mean_disparity / self._focal_baseline())
         return _corner_means(cells)
 
 

@@ -18,6 +18,23 @@ _HIDDEN = np.float32(0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def within(depth_m: np.ndarray, near_m: np.float32, far_m: np.float32, out: np.ndarray) -> None:
+    """Fill out (H, W) with the depths in near_m..far_m, 0 in place of the others.
+
+    Args:
+        depth_m: (H, W) float32, metres.
+        near_m, far_m: bounds, metres.
+        out: (H, W) float32, written.
+    """
+    height, width = depth_m.shape
+    zero = np.float32(0.0)
+    for v in range(height):
+        for u in range(width):
+            z = depth_m[v, u]
+            out[v, u] = z if (z >= near_m) & (z <= far_m) else zero
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def to_disparity(depth_m: np.ndarray, focal_baseline: np.float32, disparity: np.ndarray) -> None:
     """Fill disparity (H, W) with f B / z; 0 where depth is not a positive finite number.
 

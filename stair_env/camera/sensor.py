@@ -273,18 +273,26 @@ class RgbdCamera:
         return True
 
     def _capture(self, time_s: float, pose: np.ndarray, moving_shapes: MovingShapes) -> RgbdReading:
+        from stair_env.camera.renderers.threads import later
+
         moving = moving_shapes() if callable(moving_shapes) else moving_shapes
         frame = self._renderer.render(self.intrinsics, pose, moving=moving)
-        config, depth = self.config, np.asarray(frame.depth_m, dtype=np.float32)
-        depth = np.where((depth >= config.near_m) & (depth <= config.far_m), depth, np.float32(0.0))
-        reading = RgbdReading(
-            self._colour_error.apply(frame.rgb, self._rng, self._pixel_motion(time_s, pose, frame.rgb, depth)),
-            self._depth_error.apply(depth, frame.rgb, self.intrinsics, self._rng),
-            time_s,
-            self._captured,
-        )
+        depth = self._in_range(np.asarray(frame.depth_m, dtype=np.float32))
+        motion = self._pixel_motion(time_s, pose, frame.rgb, depth)
+        colour_work = self._colour_error.begin(frame.rgb, self._rng, motion)
+        depth_work = self._depth_error.begin(depth, frame.rgb, self.intrinsics, self._rng)
+        rgb = later(colour_work)
+        reading = RgbdReading(depth_m=depth_work(), rgb=rgb(), captured_at_s=time_s, frame_index=self._captured)
         self._captured += 1
         return reading
+
+    def _in_range(self, depth_m: np.ndarray) -> np.ndarray:
+        """Depth (H, W) float32 as far as the ideal camera sees it, a new array."""
+        from stair_env.camera.depth_kernels import within
+
+        seen = np.empty(depth_m.shape, np.float32)
+        within(np.ascontiguousarray(depth_m), np.float32(self.config.near_m), np.float32(self.config.far_m), seen)
+        return seen
 
     def _pixel_motion(self, time_s: float, pose: np.ndarray, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray | None:
         """(2,) image motion while the shutter is open, None when nothing is known about it."""

@@ -69,6 +69,25 @@ class _Rays:
         return cls.of(x, y)
 
 
+@dataclass(frozen=True)
+class _Scratch:
+    """What a frame needs only while it is drawn.
+
+    Attributes:
+        regions: (H, W) int32, see `shading.shade_rows`.
+        borders: (rows of tiles, TILE * W) int64, see `smoothing.find_borders`.
+    """
+
+    regions: np.ndarray
+    borders: np.ndarray
+
+    @classmethod
+    def of(cls, height: int, width: int) -> _Scratch:
+        """For images of this size, pixels."""
+        tile = visibility.TILE
+        return cls(np.empty((height, width), np.int32), np.empty((-(-height // tile), tile * width), np.int64))
+
+
 class RaycastRenderer:
     """Casts one ray through every pixel centre.
 
@@ -105,6 +124,7 @@ class RaycastRenderer:
         self._side = across(np.array(appearance.light_direction))
         self._table = LookTable(appearance, textures)
         self._static = self._prepare(scene.shapes, fixed=True)
+        self._spare: list[_Scratch] = []
 
     def _prepare(self, shapes: Sequence[Shape], fixed: bool) -> _Drawn:
         solids = Solids.from_shapes(shapes)
@@ -140,18 +160,26 @@ class RaycastRenderer:
         view = _View(solids, self._table.arrays(), self._light, self._side, intrinsics, pose)
         shape = (intrinsics.height, intrinsics.width)
         depth, ids, rgb = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty((*shape, 3), np.uint8)
-        regions = np.empty(shape, np.int32)
+        scratch = self._borrow_scratch(intrinsics)
         rays = _Rays.through_centres(intrinsics)
         tiles = -(-intrinsics.height // visibility.TILE)
-        run_rows(lambda rows: view.draw(rows, rays, depth, ids, rgb, regions), tiles, self._threads)
+        run_rows(lambda rows: view.draw(rows, rays, depth, ids, rgb, scratch.regions), tiles, self._threads)
         if self._antialias:
-            borders = np.empty((tiles, visibility.TILE * intrinsics.width), np.int64)
-            counts = np.zeros(tiles, np.int64)
+            regions, borders, counts = scratch.regions, scratch.borders, np.zeros(tiles, np.int64)
             run_rows(lambda rows: smoothing.find_borders(rows, regions, rgb, borders, counts), tiles, self._threads)
             pixels = np.concatenate([row[:count] for row, count in zip(borders, counts.tolist())])
             groups = -(-len(pixels) // smoothing.GROUP)
             run_rows(lambda chosen: view.smooth(pixels, chosen, rgb), groups, self._threads)
+        self._spare.append(scratch)
         return Frame(rgb, depth, ids)
+
+    def _borrow_scratch(self, intrinsics: Intrinsics) -> _Scratch:
+        """Scratch for images of this size; fresh pages of memory cost as much as a kernel. Safe between threads."""
+        while self._spare:
+            scratch = self._spare.pop()
+            if scratch.regions.shape == (intrinsics.height, intrinsics.width):
+                return scratch
+        return _Scratch.of(intrinsics.height, intrinsics.width)
 
     def close(self) -> None:
         """Nothing to release."""

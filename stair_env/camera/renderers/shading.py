@@ -48,6 +48,8 @@ LIGHT, LAMP, COLOUR, AMBIENT, EXPOSURE, GLOSS, HORIZON, ZENITH, SHADOWS = 0, 3, 
 NUM_SETTINGS = 19
 
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
+_FOUR_FACES, _LIT_OR_NOT, _NO_REGION = np.int32(4), np.int32(2), np.int32(-1)
+_BYTE, _TWO_BYTES, _LOWEST_BYTE = np.int32(8), np.int32(16), np.int32(255)
 _TINY = np.float32(1e-9)
 _HUGE = np.float32(1e30)
 _FACES_UP = np.float32(0.7)  # cosine of the steepest face that counts as a tread
@@ -271,7 +273,7 @@ def _find_texels(f, n, pose, pixel_slope):  # type: ignore[no-untyped-def]
 def _fetch_texels(n, texels):  # type: ignore[no-untyped-def]
     """Replace indices by texels; apart from the rest because loads from anywhere do not vectorise."""
     for k in range(4 * AREA):
-        n[TEXELS + k] = texels[n[TEXELS + k]]
+        n[TEXELS + k] = texels[np.uint32(n[TEXELS + k])]  # an index without sign needs no check for a negative one
 
 
 @kernel
@@ -476,16 +478,20 @@ def _store(f, n, u0, v0, rgb, regions):  # type: ignore[no-untyped-def]
     """Copy colours and regions from the buffers to the images."""
     height, width = regions.shape
     columns = min(TILE, width - u0)
+    for k in range(AREA):  # into the blocks of the texels, which are not needed any more
+        region = (n[ID + k] * _FOUR_FACES + n[FACE + k]) * _LIT_OR_NOT + np.int32(f[LIT + k] > _ZERO)
+        n[TEXELS + k] = region if n[ID + k] >= 0 else _NO_REGION
+        red, green, blue = np.int32(f[RED + k]), np.int32(f[GREEN + k]), np.int32(f[BLUE + k])
+        n[TEXELS + AREA + k] = red | (green << _BYTE) | (blue << _TWO_BYTES)
     for row in range(min(TILE, height - v0)):
         for u in range(columns):
-            k = row * TILE + u
-            rgb[v0 + row, u0 + u, 0] = np.uint8(f[RED + k])
-            rgb[v0 + row, u0 + u, 1] = np.uint8(f[GREEN + k])
-            rgb[v0 + row, u0 + u, 2] = np.uint8(f[BLUE + k])
+            regions[v0 + row, u0 + u] = n[TEXELS + row * TILE + u]
+        line = rgb[v0 + row, u0 : u0 + columns]
         for u in range(columns):
-            k = row * TILE + u
-            region = (n[ID + k] * 4 + n[FACE + k]) * 2 + (1 if f[LIT + k] > _ZERO else 0)
-            regions[v0 + row, u0 + u] = region if n[ID + k] >= 0 else -1
+            colour = n[TEXELS + AREA + row * TILE + u]
+            line[u, 0] = np.uint8(colour & _LOWEST_BYTE)
+            line[u, 1] = np.uint8((colour >> _BYTE) & _LOWEST_BYTE)
+            line[u, 2] = np.uint8(colour >> _TWO_BYTES)
 
 
 @kernel

@@ -34,6 +34,20 @@ def _differ(regions, rgb, v, u, other_v, other_u):  # type: ignore[no-untyped-de
 
 
 @kernel
+def _mark_borders(above, here, below, marks):  # type: ignore[no-untyped-def]
+    """Set marks (at least W,) to 1 where a pixel's region is not that of all four neighbours, else to 0."""
+    width = here.shape[0]
+    for u in range(width):
+        marks[u] = (above[u] != here[u]) | (below[u] != here[u])
+    # Slices, because an index that might be negative keeps the compiler from using vector instructions.
+    left, right, marks_left, marks_right = here[:-1], here[1:], marks[: width - 1], marks[1:width]
+    for u in range(width - 1):
+        marks_left[u] |= np.uint8(left[u] != right[u])
+    for u in range(width - 1):
+        marks_right[u] |= np.uint8(left[u] != right[u])
+
+
+@kernel
 def find_borders(rows, regions, rgb, pixels, counts):  # type: ignore[no-untyped-def]
     """List the pixels beside a visible border, tile by tile.
 
@@ -44,19 +58,21 @@ def find_borders(rows, regions, rgb, pixels, counts):  # type: ignore[no-untyped
         counts: (rows of tiles,) int64 out, how many were found in each row.
     """
     height, width = regions.shape
+    marks = np.zeros((TILE, -(-width // TILE) * TILE), np.uint8)
+    marks_of_8 = marks.view(np.uint64)  # most of them are all zero, and cheaper to skip together
     for row in rows:
         count = 0
+        for v in range(row * TILE, min(row * TILE + TILE, height)):
+            _mark_borders(regions[max(v - 1, 0)], regions[v], regions[min(v + 1, height - 1)], marks[v - row * TILE])
         for u0 in range(0, width, TILE):
             for v in range(row * TILE, min(row * TILE + TILE, height)):
+                eighths = marks_of_8[v - row * TILE]
+                if eighths[u0 // 8] == 0 and eighths[u0 // 8 + 1] == 0:
+                    continue
                 above, below = max(v - 1, 0), min(v + 1, height - 1)
                 for u in range(u0, min(u0 + TILE, width)):
-                    left, right, here = max(u - 1, 0), min(u + 1, width - 1), regions[v, u]
-                    if (
-                        (regions[v, left] != here)
-                        | (regions[v, right] != here)
-                        | (regions[above, u] != here)
-                        | (regions[below, u] != here)
-                    ) and (
+                    left, right = max(u - 1, 0), min(u + 1, width - 1)
+                    if marks[v - row * TILE, u] != 0 and (
                         _differ(regions, rgb, v, u, v, left)
                         or _differ(regions, rgb, v, u, v, right)
                         or _differ(regions, rgb, v, u, above, u)

@@ -55,3 +55,10 @@ def run_rows(work: Callable[[np.ndarray], None], num_rows: int, threads: int | N
     work_off()
     for future in pending:
         future.result()
+
+
+def later(work: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:
+    """Begin some work in another thread, if there may be two; the function that is returned waits for its result."""
+    if default_threads() < 2:
+        return work
+    return _pool(1).submit(work).result

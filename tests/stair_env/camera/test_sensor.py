@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from stair_env.camera.colour_error import ColourErrorConfig
 from stair_env.camera.depth_error import DepthErrorConfig
 from stair_env.camera.intrinsics import D435I_COLOR_MODES
+from stair_env.camera.renderers import threads
 from stair_env.camera.renderers.base import Frame, look_at
 from stair_env.camera.renderers.factory import make_renderer
 from stair_env.camera.sensor import CameraConfig, RgbdCamera, draw_mount_error, image_motion_px
@@ -352,3 +353,14 @@ def test_error_configs_must_be_configs():
         CameraConfig(depth_error="ideal")
     with pytest.raises(ValueError, match="colour_error"):
         dataclasses.replace(CameraConfig(), colour_error=None)
+
+
+def test_threads_do_not_change_the_frames(monkeypatch):
+    readings = []
+    for count in (1, 2):
+        monkeypatch.setattr(threads, "default_threads", lambda count=count: count)
+        sensor = RgbdCamera(CameraConfig(latency_s=0.0, width=128), FloorRenderer(), np.random.default_rng(5))
+        readings.append([sensor.step(time_s, pose_at(time_s)) for time_s in (0.0, 0.1, 0.2)])
+    for one, two in zip(*readings):
+        np.testing.assert_array_equal(one.rgb, two.rgb)
+        np.testing.assert_array_equal(one.depth_m, two.depth_m)
