@@ -39,4 +39,6 @@ class NetworkDetector:
         frames = [letterbox(image, depth) for image, depth in zip(rgb, depth_m, strict=True)]
         if not frames:
             return np.zeros((0, 32, 16), np.float32), np.zeros((0, 32, 16, 8), np.float32)
+        if len(frames) == 1:
+            return self._backend(frames[0][0][None], frames[0][1][None])
         return self._backend(np.stack([image for image, _ in frames]), np.stack([depth for _, depth in frames]))

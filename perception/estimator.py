@@ -241,7 +241,7 @@ def check_gravity(gravity: np.ndarray) -> np.ndarray:
 def _clean_depth(depth_m: np.ndarray) -> np.ndarray:
     """float32 with NaN, infinity and negative readings as 0 = no reading."""
     depth = np.asarray(depth_m, dtype=np.float32)
-    if np.isfinite(depth).all() and (depth >= 0.0).all():
+    if depth.min(initial=0.0) >= 0.0 and depth.max(initial=0.0) < np.inf:  # NaN compares false
         return depth
     return np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
 

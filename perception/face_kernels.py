@@ -100,6 +100,33 @@ def explain(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def cheapest_sequence(unary: np.ndarray, pair: np.ndarray, kinds: np.ndarray) -> None:
+    """The kinds whose costs sum to the least (Viterbi).
+
+    Args:
+        unary: (K, 3) cost of each kind of each strip.
+        pair: (K - 1, 3, 3) cost of the near strip's kind and the far one's.
+        kinds: (K,) int64; written. Among equals the lower number wins.
+    """
+    count = len(unary)
+    came_from = np.zeros((count, 3), np.int64)
+    best = unary[0].copy()
+    through = np.empty(3)
+    for strip in range(1, count):
+        for far in range(3):
+            origin = 0
+            for near in range(1, 3):
+                if best[near] + pair[strip - 1, near, far] < best[origin] + pair[strip - 1, origin, far]:
+                    origin = near
+            came_from[strip, far] = origin
+            through[far] = best[origin] + pair[strip - 1, origin, far] + unary[strip, far]
+        best[:] = through
+    kinds[-1] = np.argmin(best)
+    for strip in range(count - 1, 0, -1):
+        kinds[strip - 1] = came_from[strip, kinds[strip]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _median(values: np.ndarray, count: int) -> float:
     """Lower median of the first `count` values."""
     middle = (count - 1) // 2

@@ -8,6 +8,7 @@ camera. The cheapest consistent sequence is found by dynamic programming (Viterb
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,15 +67,11 @@ def choose_kinds(
     if count == 1:
         return np.argmin(unary, axis=1)
     pair = _pair_costs(tread, riser, line_slope, line_slope_std)  # (K - 1, near kind, far kind)
-    best, came_from = unary[0], np.zeros((count, 3), dtype=int)
-    for strip in range(1, count):
-        through = best[:, None] + pair[strip - 1]
-        came_from[strip] = np.argmin(through, axis=0)
-        best = through[came_from[strip], [0, 1, 2]] + unary[strip]
-    kinds = np.empty(count, dtype=int)
-    kinds[-1] = int(np.argmin(best))
-    for strip in range(count - 1, 0, -1):
-        kinds[strip - 1] = came_from[strip, kinds[strip]]
+    from perception import face_kernels
+
+    kernels: Any = face_kernels
+    kinds = np.empty(count, dtype=np.int64)
+    kernels.cheapest_sequence(unary, pair, kinds)
     return kinds
 
 

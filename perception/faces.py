@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from perception.face_kinds import RISER, Candidate, choose_kinds
+from perception.lines import median
 from stair_env.camera.intrinsics import Intrinsics
 
 COLUMN_BANDS = 27  # samples across a strip: the paper's nine sampling points, three columns each
@@ -264,7 +265,7 @@ def _solve_rotation(
     rows = np.stack([-n_h / n_f, np.zeros_like(n_f), np.ones_like(n_f)], axis=1)
     yaw_error = n_l / n_f
     sigma = np.hypot(direction_std / np.abs(n_f), 0.003)
-    offset = np.abs(yaw_error - np.median(yaw_error)) if len(yaw_error) else yaw_error
+    offset = np.abs(yaw_error - median(yaw_error)) if len(yaw_error) else yaw_error
     line_weight = np.where(offset < 4.0 * sigma + 0.02, 1.0 / sigma**2, 0.0)
     normal += (rows * line_weight[:, None]).T @ rows
     gradient += rows.T @ (line_weight * yaw_error)

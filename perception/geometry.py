@@ -17,6 +17,7 @@ from perception.drops import locate_drops
 from perception.estimate import Nosing, StepMeasurement
 from perception.faces import Faces, LineViews, fit_faces, sample_strips
 from perception.line_check import CheckedLines, check_lines
+from perception.lines import median
 from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
@@ -242,7 +243,7 @@ def _line_views(
 
 def _height_at_middle(lines: np.ndarray) -> np.ndarray:
     """(m,) image y of every line at one common column, where most of them are."""
-    x = float(np.median((lines[:, 0] + lines[:, 2]) / 2.0))
+    x = median((lines[:, 0] + lines[:, 2]) / 2.0)
     return lines[:, 4] * x + lines[:, 5]
 
 

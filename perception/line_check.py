@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from perception.lines import SCORE_THRESHOLD
+from perception.lines import SCORE_THRESHOLD, median
 from perception.profile import Profile, ProfileEdge, read_profile
 from stair_env.camera.intrinsics import Intrinsics
 
@@ -64,7 +64,7 @@ def check_lines(
         support: that added lines claim.
     """
     lateral = lateral_extent(lines, depth_m, intrinsics, camera_to_stair)
-    middle_x = float(np.median((lines[:, 0] + lines[:, 2]) / 2.0))
+    middle_x = median((lines[:, 0] + lines[:, 2]) / 2.0)
     profile = read_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral, omega_m)
     drawn = _draw_edges(profile, lateral, camera_to_stair, intrinsics, support)
     match_px = MATCH_PX * intrinsics.width / IMAGE_WIDTH_PX

@@ -30,6 +30,12 @@ SHORT_SEGMENT_PX = 8.0  # a segment this short says half of what its neighbours 
 LINE_FIELDS = ("x1", "y1", "x2", "y2", "k", "b", "score", "support")
 
 
+def median(values: np.ndarray) -> float:
+    """Median of (n,) finite values, n > 0: `np.median` takes five times as long for a few dozen numbers."""
+    ordered, middle = np.sort(values), len(values) // 2
+    return float(ordered[middle] if len(values) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle]))
+
+
 @dataclass(frozen=True)
 class StairLine:
     """One stair line, the paper's six-tuple with what it rests on.
@@ -133,7 +139,7 @@ def cluster_segments(segments: Segments) -> np.ndarray:
     ends = np.ascontiguousarray(segments.ends)
     dx, dy = ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]
     long = dx > SHORT_SEGMENT_PX
-    common = float(np.clip(np.median(dy[long] / dx[long]), -MAX_SLOPE, MAX_SLOPE)) if long.any() else 0.0
+    common = min(max(median(dy[long] / dx[long]), -MAX_SLOPE), MAX_SLOPE) if long.any() else 0.0
     prior = SHORT_SEGMENT_PX**2
     slope = np.clip((dx * dy + prior * common) / (dx * dx + prior), -MAX_SLOPE, MAX_SLOPE)
     label, fitted = np.empty(len(segments), dtype=np.int64), np.empty((len(segments), 4))

@@ -33,16 +33,28 @@ def letterbox(rgb: np.ndarray, depth_m: np.ndarray, size: int = IMAGE_SIZE) -> t
     if (height, width) == (size, size):
         return rgb, np.asarray(depth_m, dtype=np.float32)
     left, top, side = letterbox_padding(width, height)
-    shrinks = side > size
+    if not any(length * size % side for length in (left, top, width, height)):  # the padding need not be scaled
+        return _scale_inside(rgb, depth_m, side, size)
     square_rgb = np.zeros((side, side, 3), dtype=np.uint8)
     square_depth = np.zeros((side, side), dtype=np.float32)
     square_rgb[top : top + height, left : left + width] = rgb
     square_depth[top : top + height, left : left + width] = depth_m
-    if side == size:
-        return square_rgb, square_depth
-    scaled_rgb = cv2.resize(square_rgb, (size, size), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    scaled_depth = cv2.resize(square_depth, (size, size), interpolation=cv2.INTER_NEAREST_EXACT)
-    return scaled_rgb, scaled_depth
+    return _scale_inside(square_rgb, square_depth, side, size)
+
+
+def _scale_inside(rgb: np.ndarray, depth_m: np.ndarray, side: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Images scaled by size / side, which gives whole pixels, in the middle of black squares."""
+    height, width = rgb.shape[:2]
+    left, top, _ = letterbox_padding(width, height)
+    x, y, columns, rows = (length * size // side for length in (left, top, width, height))
+    inside = slice(y, y + rows), slice(x, x + columns)
+    square_rgb = np.zeros((size, size, 3), dtype=np.uint8)
+    square_depth = np.zeros((size, size), dtype=np.float32)
+    interpolation = cv2.INTER_AREA if side > size else cv2.INTER_LINEAR
+    square_rgb[inside] = cv2.resize(rgb, (columns, rows), interpolation=interpolation)
+    depth = np.asarray(depth_m, dtype=np.float32)
+    square_depth[inside] = cv2.resize(depth, (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)
+    return square_rgb, square_depth
 
 
 def letterbox_lines(lines: np.ndarray, width: int, height: int, size: int = IMAGE_SIZE) -> np.ndarray:
@@ -63,12 +75,20 @@ def letterbox_lines(lines: np.ndarray, width: int, height: int, size: int = IMAG
 
 def colour_input(rgb: np.ndarray) -> np.ndarray:
     """(B, H, W, 3) uint8 -> (B, 3, H, W) float32 in -1..1, contiguous."""
-    planes = np.ascontiguousarray(np.moveaxis(rgb, -1, 1))
-    return np.multiply(planes, np.float32(2.0 / 255.0), dtype=np.float32) - np.float32(1.0)
+    batch, height, width, channels = rgb.shape
+    scaled = np.empty((batch, channels, height, width), dtype=np.float32)
+    for image, planes in zip(rgb, scaled):
+        for channel, plane in zip(cv2.split(image), planes):
+            np.multiply(channel, np.float32(2.0 / 255.0), out=plane)
+    scaled -= np.float32(1.0)
+    return scaled
 
 
 def depth_input(depth_m: np.ndarray) -> np.ndarray:
     """(B, H, W) metres, 0 = no reading -> (B, 1, H, W) float32 in -1..1; no reading looks like infinitely far."""
     depth = np.asarray(depth_m, dtype=np.float32)
-    distance = np.where(depth > 0.0, np.maximum(depth, np.float32(NEAREST_DEPTH_M)), np.float32(np.inf))
-    return (np.float32(2.0 * NEAREST_DEPTH_M) / distance - np.float32(1.0))[:, None]
+    near = np.maximum(depth, np.float32(NEAREST_DEPTH_M))
+    np.divide(np.float32(2.0 * NEAREST_DEPTH_M), near, out=near)
+    near -= np.float32(1.0)
+    np.copyto(near, np.float32(-1.0), where=~(depth > 0.0))  # NaN is no reading either
+    return near[:, None]

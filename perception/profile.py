@@ -18,6 +18,7 @@ import numpy as np
 
 from perception.face_kinds import RISER, TREAD, UNKNOWN
 from perception.faces import DEPTH_SIGMA_PER_M2, MAX_DEPTH_M, MIN_DEPTH_M
+from perception.lines import median
 from stair_env.camera.intrinsics import Intrinsics
 
 ROWS = 240  # of the cross-section: one for two of the image's at 640 x 480
@@ -177,7 +178,7 @@ def _faces(
         rows = begin + np.nonzero(readings[begin:end])[0]
         if what == UNKNOWN or len(rows) < MIN_FACE_ROWS:
             continue
-        value = float(np.median((height if what == TREAD else forward)[rows]))
+        value = median((height if what == TREAD else forward)[rows])
         if kinds and kinds[-1] == what and abs(values[-1] - value) < omega_m:
             spans[-1] = (spans[-1][0], int(rows[-1]))
         else:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from stair_env.cli.common import add_common_arguments, choice_list, positive_int, progress, write_json
+from stair_env.cli.common import (
+    add_backend_argument,
+    add_common_arguments,
+    choice_list,
+    positive_int,
+    progress,
+    write_json,
+)
 from stair_env.timing import Row
 
 NAMES = (
@@ -13,10 +20,11 @@ NAMES = (
     "vector-step",
     "camera-frame",
     "worker-memory",
-    "onnx-0.25",
-    "onnx-1",
+    "network-0.25",
+    "network-1",
     "after-network",
     "perceived-frame",
+    "perceived-frame-walking",
     "batch",
 )
 
@@ -32,24 +40,32 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--only", type=choice_list(NAMES), default=NAMES, metavar="LIST", help=f"of {', '.join(NAMES)} (all)"
     )
+    add_backend_argument(parser)
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
-    measures = all_rows()
+    measures = all_rows(args.backend)
     rows = [measures[name](args.rounds) for name in progress(args.only, description="bench")]
-    print(f"{'':<58}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
+    print(f"{'':<64}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
     for row in rows:
         wanted = "" if row.target is None else f">={row.target:g}"
-        print(f"{row.name:<58}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
+        print(f"{row.name:<64}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
     if args.json:
         write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
     return 0
 
 
-def all_rows() -> dict[str, Callable[[int], Row]]:
-    """Every comparison by name: a function of the number of rounds."""
+def all_rows(backend: str = "onnx") -> dict[str, Callable[[int], Row]]:
+    """Every comparison by name: a function of the number of rounds.
+
+    Args:
+        backend: that runs the network, where there is one.
+    """
     from stair_env.cli import bench_perception, bench_rows
 
-    return {**bench_rows.ROWS, **bench_perception.ROWS}
+    def bound(row: Callable[[int, str], Row]) -> Callable[[int], Row]:
+        return lambda rounds: row(rounds, backend)
+
+    return {**bench_rows.ROWS, **{name: bound(row) for name, row in bench_perception.ROWS.items()}}

@@ -7,6 +7,7 @@ of the frame instead of its answer, so that it has the work of a good detection.
 from __future__ import annotations
 
 import functools
+import itertools
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from stair_env.timing import Row, seconds_per_call, time_pair
 CELL_WIDTH_PX, CELL_HEIGHT_PX = 32, 16
 CLUSTER_PX = 8.0  # how far a segment's middle may lie from a line that it joins
 MANY_ENVS = 8
+PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
+WALKED_STEPS = 24  # half a second: the robot trots and the stairs are ahead
 MIN_CELLS = 40  # of a frame worth timing: a few stair lines across the picture
 
 
@@ -61,14 +64,17 @@ def _eager(width: float) -> Any:
 
 
 @functools.cache
-def _onnx(width: float) -> Any:
-    from perception.backends import OnnxBackend
+def _fast(width: float, backend: str) -> Any:
+    """The same network behind one of the back ends."""
+    from perception.backends import TorchBackend, make_exported_backend
     from perception.weights_io import export_onnx
 
+    if backend == "torch":
+        return TorchBackend(network=_eager(width))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "network.onnx"
         export_onnx(_eager(width), path)
-        return OnnxBackend(width, path=path)
+        return make_exported_backend(backend, path)
 
 
 def _run_eager(width: float, rgb: np.ndarray, depth_m: np.ndarray) -> None:
@@ -81,26 +87,26 @@ def _run_eager(width: float, rgb: np.ndarray, depth_m: np.ndarray) -> None:
         _eager(width)(torch.from_numpy(colour_input(rgb[None])), torch.from_numpy(depth_input(depth_m[None])))
 
 
-def onnx_against_torch(rounds: int, width: float, target: float) -> Row:
-    """ONNX Runtime against torch eager, one frame."""
-    frame, onnx = sample_frame().frame, _onnx(width)
+def fast_against_eager(rounds: int, backend: str, width: float, target: float) -> Row:
+    """A back end against torch eager, one frame."""
+    frame, fast = sample_frame().frame, _fast(width, backend)
     return time_pair(
-        f"StairNetV2 {width:g}x, ONNX Runtime / torch eager",
-        seconds_per_call(lambda: onnx(frame.rgb[None], frame.depth_m[None]), 2),
+        f"StairNetV2 {width:g}x, {backend} / torch eager",
+        seconds_per_call(lambda: fast(frame.rgb[None], frame.depth_m[None]), 2),
         seconds_per_call(lambda: _run_eager(width, frame.rgb, frame.depth_m)),
         rounds=rounds,
         target=target,
     )
 
 
-def after_the_network(rounds: int) -> Row:
-    """Decode, cluster, geometry against the 0.25x network on its fast back end."""
-    sample, onnx, interpret = sample_frame(), _onnx(0.25), _interpreter()
+def after_the_network(rounds: int, backend: str) -> Row:
+    """Decode, cluster, geometry against the 0.25x network on a back end."""
+    sample, fast, interpret = sample_frame(), _fast(0.25, backend), _interpreter()
     frame = sample.frame
     return time_pair(
-        "all after the network / the network (0.25x, ONNX)",
+        f"all after the network / the network (0.25x, {backend})",
         seconds_per_call(interpret, 5),
-        seconds_per_call(lambda: onnx(frame.rgb[None], frame.depth_m[None])),
+        seconds_per_call(lambda: fast(frame.rgb[None], frame.depth_m[None])),
         rounds=rounds,
         target=5.0,
     )
@@ -115,15 +121,15 @@ def _interpreter() -> Any:
     return lambda: estimator.interpret(sample.cls, sample.loc, frame.depth_m, frame.intrinsics, frame.gravity)
 
 
-def perceived_frame(rounds: int) -> Row:
-    """Render, corrupt, detect, measure: ours against the naive chain."""
+def perceived_frame(rounds: int, backend: str) -> Row:
+    """Render, corrupt, detect, measure: ours against the naive chain, in a scene that holds no robot."""
     import pybullet
 
     from perception.paper_geometry import measure_stairs_as_the_paper
     from stair_env.camera.renderers import make_renderer
     from stair_env.camera.sensor import CameraConfig, RgbdCamera
 
-    sample, onnx, interpret = sample_frame(), _onnx(0.25), _interpreter()
+    sample, fast, interpret = sample_frame(), _fast(0.25, backend), _interpreter()
     frame = sample.frame
     renderer = make_renderer("raycast", sample.scene)
     camera = RgbdCamera(CameraConfig(latency_s=0.0), renderer, np.random.default_rng(0))
@@ -134,7 +140,7 @@ def perceived_frame(rounds: int) -> Row:
 
     def ours() -> None:
         reading = camera.step(float(next(clock)), frame.camera_to_world)
-        onnx(reading.rgb[None], reading.depth_m[None])
+        fast(reading.rgb[None], reading.depth_m[None])
         interpret()
 
     def theirs() -> None:
@@ -145,7 +151,7 @@ def perceived_frame(rounds: int) -> Row:
 
     try:
         return time_pair(
-            "perceived frame 0.25x / naive chain",
+            f"perceived frame without a robot ({backend}) / naive chain",
             seconds_per_call(ours),
             seconds_per_call(theirs),
             rounds=rounds,
@@ -153,6 +159,66 @@ def perceived_frame(rounds: int) -> Row:
         )
     finally:
         pybullet.disconnect(client)
+
+
+def perceived_frame_walking(rounds: int, backend: str) -> Row:
+    """The same on a walking robot: the shipped weights, the tracker too, and a Bullet world with the robot in it."""
+    import torch
+
+    from perception.backends import as_grids
+    from perception.lines import to_image_pixels
+    from perception.paper_geometry import measure_stairs_as_the_paper
+    from perception.preprocess import colour_input, depth_input, letterbox
+    from perception.weights_io import load_network
+
+    env, plain = (_walked(backend, {"renderer": name}) for name in ("raycast", "tiny"))
+    base, bullet, network = env.unwrapped, plain.unwrapped, load_network(0.25)
+    perception, estimator, now = env.get_wrapper_attr("perception"), env.get_wrapper_attr("estimator"), base.time_s
+    intrinsics, gravity, clock = base.camera_intrinsics, perception.gravity_at(now), itertools.count(int(now) + 1)
+
+    def ours() -> None:
+        reading = base._camera.step(float(next(clock)), _camera_pose(base), base._body_shapes.shapes)
+        estimate = estimator.estimate(reading.rgb, reading.depth_m, intrinsics, gravity)
+        perception.look(estimate, reading.frame_index, now)
+        perception.block()
+
+    def theirs() -> None:
+        rgb, depth_m = tiny_picture(bullet._sim.client._client, _camera_pose(bullet), intrinsics)
+        square_rgb, square_depth = letterbox(rgb, depth_m)
+        with torch.no_grad():
+            pair = torch.from_numpy(colour_input(square_rgb[None])), torch.from_numpy(depth_input(square_depth[None]))
+            cls, loc = as_grids(*(part.numpy() for part in network(*pair)))
+        lines = to_image_pixels(naive_lines(cls[0], loc[0]), intrinsics.width, intrinsics.height)
+        measure_stairs_as_the_paper(lines, depth_m, intrinsics, gravity)
+
+    try:
+        name = f"perceived frame on a walking robot ({backend}) / naive chain"
+        return time_pair(name, seconds_per_call(ours), seconds_per_call(theirs), rounds=rounds, target=6.0)
+    finally:
+        env.close()
+        plain.close()
+
+
+def _walked(backend: str, camera: dict[str, str]) -> Any:
+    """A robot that has walked up to a staircase and sees it."""
+    import gymnasium as gym
+
+    from stair_env.stairs import StairSpec
+
+    estimator = {"backend": backend}
+    env = gym.make(PERCEPTION_ID, disable_env_checker=True, camera=camera, estimator=estimator)
+    env.reset(seed=0, options={"stairs": StairSpec(riser_height=0.15, tread_depth=0.30, num_steps=6)})
+    for _ in range(WALKED_STEPS):
+        env.step(np.zeros(env.action_space.shape or (), np.float32))
+    return env
+
+
+def _camera_pose(env: Any) -> np.ndarray:
+    """(4, 4) camera_to_world of an RGBD environment."""
+    from stair_env.rgbd import base_to_world
+
+    pose: np.ndarray = base_to_world(env._state) @ env._camera_to_base
+    return pose
 
 
 def naive_lines(cls: np.ndarray, loc: np.ndarray) -> np.ndarray:
@@ -213,28 +279,29 @@ def _fit(cluster: list[list[float]]) -> tuple[float, float]:
     return float(k), float(b)
 
 
-def batched_frames(rounds: int) -> Row:
+def batched_frames(rounds: int, backend: str) -> Row:
     """The network on the frames of eight environments at once against one after the other."""
-    frame, onnx = sample_frame().frame, _onnx(0.25)
+    frame, fast = sample_frame().frame, _fast(0.25, backend)
     rgb, depth = np.stack([frame.rgb] * MANY_ENVS), np.stack([frame.depth_m] * MANY_ENVS)
 
     def one_by_one() -> None:
         for index in range(MANY_ENVS):
-            onnx(rgb[index : index + 1], depth[index : index + 1])
+            fast(rgb[index : index + 1], depth[index : index + 1])
 
     return time_pair(
-        f"{MANY_ENVS} frames in a batch / one by one (0.25x, ONNX)",
-        seconds_per_call(lambda: onnx(rgb, depth)),
+        f"{MANY_ENVS} frames in a batch / one by one (0.25x, {backend})",
+        seconds_per_call(lambda: fast(rgb, depth)),
         seconds_per_call(one_by_one),
         rounds=rounds,
         target=1.0,
     )
 
 
-ROWS: dict[str, Callable[[int], Row]] = {
-    "onnx-0.25": functools.partial(onnx_against_torch, width=0.25, target=2.0),
-    "onnx-1": functools.partial(onnx_against_torch, width=1.0, target=1.6),
+ROWS: dict[str, Callable[[int, str], Row]] = {  # of the number of rounds and the back end
+    "network-0.25": functools.partial(fast_against_eager, width=0.25, target=2.0),
+    "network-1": functools.partial(fast_against_eager, width=1.0, target=1.6),
     "after-network": after_the_network,
     "perceived-frame": perceived_frame,
+    "perceived-frame-walking": perceived_frame_walking,
     "batch": batched_frames,
 }

@@ -20,7 +20,7 @@ from stair_env.cli.common import (
 )
 
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
-SUITES = ("stairnetv2", "classical", "paper")
+SUITES = ("stairnetv2", "classical", "paper", "speed")
 CLASSICAL_IMAGES = ("colour", "depth")
 
 
@@ -35,7 +35,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
         "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
-        "table3.json and table6.json, and a picture of what each method finds, into --results.",
+        "table3.json and table6.json, and a picture of what each method finds, into --results. --suite speed writes "
+        "table4.json there: sizes and run times of each --width, all back ends by turns.",
     )
     parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
@@ -61,7 +62,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     paper.add_argument("--frames-per-epoch", type=positive_int, help="of every training (1000)")
     paper.add_argument("--seeds", type=seed_list, default=(0,), help="of the trainings, comma-separated (0)")
     paper.add_argument("--trained-only", action="store_true", help="train nothing: tables of the rows that are trained")
-    paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores)")
+    paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores; speed suite: 1)")
+    speed = parser.add_argument_group("speed suite")
+    speed.add_argument("--rounds", type=positive_int, default=15, help="turns of each back end (%(default)s)")
     tuning = parser.add_argument_group("classical and paper suites")
     tuning.add_argument(
         "--images",
@@ -78,7 +81,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, and print the table."""
-    suites = {"stairnetv2": _run_network, "classical": _run_classical, "paper": _run_paper}
+    suites = {"stairnetv2": _run_network, "classical": _run_classical, "paper": _run_paper, "speed": _run_speed}
     return suites[args.suite](args)
 
 
@@ -156,6 +159,25 @@ def _run_paper(args: argparse.Namespace) -> int:
     write_picture(args.results / "table6.png", suite.picture())
     if args.json:
         write_json(args.json, tables, seed=args.seed)
+    return 0
+
+
+def _run_speed(args: argparse.Namespace) -> int:
+    threads = args.threads or 1
+    limit_threads(threads)
+    from perception.speed import speed_table
+
+    bar = functools.partial(progress, description="speed")
+    report = speed_table([float(width) for width in args.width], args.rounds, threads, bar)
+    for row in report["rows"]:
+        times = ", ".join(f"{name} {value:.1f}" for name, value in row["ms"].items())
+        ratios = ", ".join(f"{name} {value:.2f}" for name, value in row["times_eager"].items())
+        size = f"{row['parameters']} parameters, {row['state_dict_mb']} MB (paper {row['paper_mb']})"
+        print(f"{row['width']:g}x: {size}; ms a frame: {times}; times as fast as eager: {ratios}")
+    print("\n".join(f"  {note}" for note in report["notes"]))
+    write_json(args.results / "table4.json", report, seed=args.seed)
+    if args.json:
+        write_json(args.json, report, seed=args.seed)
     return 0
 
 

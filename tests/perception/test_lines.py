@@ -16,6 +16,7 @@ from perception.lines import (
     cluster_segments,
     decode_cells,
     find_lines,
+    median,
     to_image_pixels,
 )
 
@@ -190,3 +191,9 @@ def test_rows_become_objects() -> None:
     assert [line.kind for line in lines] == ["convex", "concave"]
     assert lines[0].k == pytest.approx(10 / 512, abs=1e-3)
     assert isinstance(lines[0].support, int)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+def test_median_is_numpys(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=count)
+    assert median(values) == pytest.approx(np.median(values), rel=1e-15)

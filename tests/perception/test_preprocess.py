@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -31,6 +32,16 @@ def test_padding_is_zero_and_centred():
     assert boxed[64:448].all()
 
 
+def test_scaling_inside_the_padding_is_scaling_with_it():
+    rng = np.random.default_rng(0)
+    rgb, depth = rng.integers(0, 256, (480, 640, 3)).astype(np.uint8), rng.uniform(0, 4, (480, 640)).astype(np.float32)
+    square, far = np.zeros((640, 640, 3), np.uint8), np.zeros((640, 640), np.float32)
+    square[80:560], far[80:560] = rgb, depth
+    boxed, boxed_depth = letterbox(rgb, depth)
+    np.testing.assert_array_equal(boxed, cv2.resize(square, (512, 512), interpolation=cv2.INTER_AREA))
+    np.testing.assert_array_equal(boxed_depth, cv2.resize(far, (512, 512), interpolation=cv2.INTER_NEAREST_EXACT))
+
+
 def test_right_size_is_handed_through():
     rgb, depth = np.zeros((512, 512, 3), np.uint8), np.zeros((512, 512), np.float32)
     boxed, _ = letterbox(rgb, depth)
@@ -50,3 +61,4 @@ def test_depth_scaling_is_a_plane_for_a_plane_and_far_for_nothing():
     np.testing.assert_allclose(np.diff(scaled, 2), 0.0, atol=1e-6)
     assert depth_input(np.zeros((1, 2, 2))).max() == -1.0
     assert depth_input(np.full((1, 2, 2), 0.01)).max() == 1.0
+    assert depth_input(np.full((1, 2, 2), np.nan)).max() == -1.0
