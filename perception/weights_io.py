@@ -178,6 +178,18 @@ def export_onnx(network: StairNetV2, path: Path) -> None:
             external_data=False,
             verbose=False,
         )
+        _strip_traces(temporary)
+
+
+def _strip_traces(path: Path) -> None:
+    """Take out of an exported file where in the source each operation came from, which is most of its text."""
+    import onnx
+
+    model = onnx.load(str(path))
+    graph = model.graph
+    for entry in (*graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer, graph):
+        del entry.metadata_props[:]
+    onnx.save(model, str(path))
 
 
 def read_card(width: float, folder: Path = WEIGHTS_DIR) -> dict[str, Any]:

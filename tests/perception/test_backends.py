@@ -73,6 +73,12 @@ def test_backends_agree(saved, frames):
         np.testing.assert_allclose(other[1], loc, atol=1e-3)
 
 
+def test_exported_files_name_no_source_files(saved):
+    assert b".py" not in weights_path(0.25, "onnx", saved[0]).read_bytes()
+    for width in available_widths("onnx"):
+        assert b".py" not in weights_path(width, "onnx").read_bytes()
+
+
 @needs_openvino
 def test_openvino_agrees(saved, frames):
     path = weights_path(0.25, "onnx", saved[0])
