@@ -181,6 +181,7 @@ class OpenVinoBackend:
             "INFERENCE_PRECISION_HINT": "f32",  # left to itself it takes bfloat16: 14 points of IOU less
             "INFERENCE_NUM_THREADS": self._threads,
             "NUM_STREAMS": streams,
+            "ENABLE_CPU_PINNING": False,  # a thread bound to a core waits for whatever else runs there
         }
         return Core().compile_model(self._model, "CPU", settings)
 
