@@ -141,13 +141,14 @@ class NosingMap:
         share = float((index[inside] >= 0).mean()) if inside.any() else 1.0
         return index, share
 
-    def update(self, nosings: tuple[Nosing, ...], offset_m: float) -> None:
+    def update(self, nosings: tuple[Nosing, ...], offset_m: float, clear_m: float = 0.0) -> None:
         """Take a frame in.
 
         Args:
             nosings: nearest first.
             offset_m: from the base to the camera along the walking direction, metres, at the time of the frame but
                 seen from where the base is now.
+            clear_m: distance from the camera up to which every nosing beyond those measured would have been seen.
         """
         measured = np.array([nosing.distance_m for nosing in nosings]) + offset_m
         std = np.array([math.hypot(nosing.distance_std_m, NOSING_STD_FLOOR_M) for nosing in nosings])
@@ -155,7 +156,7 @@ class NosingMap:
         matched = np.nonzero(index >= 0)[0]
         if len(matched):
             self._correct(index[matched], measured[matched], std[matched])
-        self._count(index, measured)
+        self._count(index, measured, offset_m + clear_m)
         for place in np.nonzero(index < 0)[0]:
             self._insert(float(measured[place]), float(std[place]))
         self._measure_lengths(nosings, measured)
@@ -180,10 +181,10 @@ class NosingMap:
         covariance = self._covariance - gain @ cross
         self._covariance = (covariance + covariance.T) / 2.0
 
-    def _count(self, index: np.ndarray, measured: np.ndarray) -> None:
+    def _count(self, index: np.ndarray, measured: np.ndarray, clear: float) -> None:
         seen = index[index >= 0]
         self.hits[seen] += 1
-        should = (self.ahead > measured.min() - 0.02) & (self.ahead < measured.max() + 0.02)
+        should = (self.ahead > measured.min() - 0.02) & (self.ahead < max(measured.max() + 0.02, clear))
         should[seen] = False
         self.misses[should] += 1
 

@@ -279,6 +279,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         turn = self._attitude.yaw - yaw_before
         self._yaw_rate = ((turn + math.pi) % (2 * math.pi) - math.pi) / CONTROL_DT
         self._gyro = samples[-1, 3:]
+        self._specific_force = samples[:, :3].mean(axis=0)
 
     def _draw_push_time(self) -> float:
         interval = self.randomization.push_interval_s
@@ -294,7 +295,12 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         level = base_to_level(self._attitude.up)
         if self.time_s > 0:
             self._odometry_velocity = self._odometry.update(
-                self._joints, self._contacts.touching, level, self._yaw_rate * CONTROL_DT, CONTROL_DT
+                self._joints,
+                self._contacts.touching,
+                self._specific_force,
+                level,
+                self._yaw_rate * CONTROL_DT,
+                CONTROL_DT,
             )
             self._energy += float(np.dot(np.abs(torques), np.abs(self._joint_rates))) * CONTROL_DT
 
