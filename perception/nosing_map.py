@@ -21,7 +21,7 @@ FRAME_STD_M = 0.006  # error that all nosings of one frame share: attitude, moun
 NOSING_STD_FLOOR_M = 0.003
 LENGTH_STD_FLOOR_M = 0.003  # of a riser or tread within one frame
 LENGTH_WALK_M = 0.0005  # per frame, so that the filter never stops listening
-# Measured on a trotting AlienGo: leg odometry reads 3 % too far up and 10 % down, and slips in bursts beyond that. A
+# Measured on a trotting AlienGo: odometry reads 3 % too far up and 11 % down, and slips in bursts beyond that. A
 # factor that follows the bursts (0.15 and a limit of 0.45 did) misleads the last half metre, which no frame shows.
 ODOMETRY_SCALE_STD = 0.06  # of the factor by which odometry is off, before any frame
 ODOMETRY_SCALE_WALK = 0.06  # of that factor, per square root of a metre walked
