@@ -15,6 +15,15 @@ from perception.metrics import SCORE_THRESHOLD, DetectionCounts, count_cells
 
 SPLITS = ("all", "day", "night", "ascending", "descending", "negatives", "colour_black", "depth_missing")
 BATCH = 8
+# Accuracy, recall and IOU in per cent by width and light, on the paper's own photographs (paper, table 5).
+PAPER_TABLE_5 = {
+    (1.0, "day"): (92.88, 93.34, 87.11),
+    (1.0, "night"): (90.78, 92.87, 84.87),
+    (0.5, "day"): (92.05, 93.94, 86.89),
+    (0.5, "night"): (89.22, 92.91, 83.53),
+    (0.25, "day"): (91.06, 92.85, 85.09),
+    (0.25, "night"): (88.21, 91.87, 81.82),
+}
 
 
 @dataclass
@@ -98,3 +107,9 @@ def as_rows(tallies: dict[str, Tally], model: str, width: float | None) -> list[
             row["false_frames"] = round(100.0 * tally.frames_with_cells / counts.frames, 2)
         rows.append(row)
     return rows
+
+
+def beside_paper(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of StairNetV2 with the paper's figures in the rows that table 5 has, too."""
+    names = ("paper_accuracy", "paper_recall", "paper_iou")
+    return [row | dict(zip(names, PAPER_TABLE_5.get((row["width"], row["split"]), ()))) for row in rows]

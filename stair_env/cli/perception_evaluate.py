@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_network(args: argparse.Namespace) -> int:
     from perception.dataset import StairDataset
-    from perception.evaluation import as_rows, evaluate_detector
+    from perception.evaluation import as_rows, beside_paper, evaluate_detector
 
     backends = [(float(width), _backend(args, float(width))) for width in args.width]
     frames = StairDataset(_test_root(args), args.split or None)
@@ -95,7 +95,7 @@ def _run_network(args: argparse.Namespace) -> int:
     for width, backend in backends:
         bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
         tallies = evaluate_detector(backend, frames, progress=bar)
-        rows.extend(as_rows(tallies, "StairNetV2", width))
+        rows.extend(beside_paper(as_rows(tallies, "StairNetV2", width)))
     _print_table(rows)
     if args.json:
         write_json(args.json, {"rows": rows, "backend": args.backend}, seed=args.seed)
