@@ -222,6 +222,7 @@ def _print_table(rows: list[dict[str, Any]]) -> None:
         found = f"   something found in {row['false_frames']} % of them" if "false_frames" in row else ""
         if "paper_iou" in row:
             found = "   paper " + " ".join(f"{row[f'paper_{name}']:.2f}" for name in ("accuracy", "recall", "iou"))
+        if "cpu_ms" in row:
             found += f"   {row['cpu_ms']:.1f} ms"
         width = "" if row["width"] is None else f"{row['width']:g}"
         print(
