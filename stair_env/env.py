@@ -294,13 +294,9 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._riser_hits = sum(riser_hits(self._contacts))
         level = base_to_level(self._attitude.up)
         if self.time_s > 0:
+            touching, turn = self._contacts.touching, self._yaw_rate * CONTROL_DT
             self._odometry_velocity = self._odometry.update(
-                self._joints,
-                self._contacts.touching,
-                self._specific_force,
-                level,
-                self._yaw_rate * CONTROL_DT,
-                CONTROL_DT,
+                self._joints, touching, self._specific_force, level, turn, CONTROL_DT
             )
             self._energy += float(np.dot(np.abs(torques), np.abs(self._joint_rates))) * CONTROL_DT
 

@@ -210,9 +210,7 @@ def test_onnx_path_does_not_import_torch(saved):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_shipped_weights_that_are_there_load(width):
-    if width not in available_widths():
-        pytest.skip(f"no weights shipped for {width}")
+def test_shipped_weights_load(width):
     network = load_network(width)
     rgb, depth = np.zeros((1, 512, 512, 3), np.uint8), np.full((1, 512, 512), 2.0, np.float32)
     for a, b in zip(OnnxBackend(width, threads=1)(rgb, depth), TorchBackend(network=network)(rgb, depth), strict=True):
