@@ -55,6 +55,8 @@ class TrainingPreset:
         small_share: share of the epochs, from the first, that see frames at half size. They cost a quarter and
             teach nearly the same features.
         small_batch_size: frames a step during those.
+        frozen_statistics: whether batch norms keep the mean and variance they came with, for fine-tuning: frames
+            without colour or depth make those of small batches jump, and a network in use sees neither.
         dynamic_weights: equations 5 and 6 after each epoch; else the fixed weights of equation 1.
         location_loss: see `perception.losses.detection_loss`.
         positive_weight: see `perception.losses.detection_loss`.
@@ -75,6 +77,7 @@ class TrainingPreset:
     warmup_epochs: float = 1.0
     small_share: float = 0.0
     small_batch_size: int = 16
+    frozen_statistics: bool = False
     dynamic_weights: bool = True
     location_loss: str = "l2"
     positive_weight: float = 1.0
@@ -254,6 +257,13 @@ class DetectorTraining(L.LightningModule):
     def configure_optimizers(self) -> Any:
         """Adam, its rate set before every step by `on_train_batch_start`."""
         return torch.optim.Adam(self.parameters(), lr=self.preset.learning_rate, weight_decay=self.preset.weight_decay)
+
+    def on_train_epoch_start(self) -> None:
+        """Freeze what the preset freezes; the trainer puts all modules into training mode before."""
+        if self.preset.frozen_statistics:
+            for module in self.network.modules():
+                if isinstance(module, nn.BatchNorm2d):
+                    module.eval()
 
     def on_train_batch_start(self, batch: Batch, batch_index: int) -> None:
         """Set the learning rate from the progress, which a resumed run knows."""

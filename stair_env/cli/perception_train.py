@@ -33,6 +33,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--small-share", type=share, metavar="SHARE", help="share of the epochs at half size, instead of the preset's"
     )
     parser.add_argument(
+        "--drop-depth", type=share, metavar="SHARE", help="share of the frames without depth, instead of the preset's"
+    )
+    parser.add_argument(
+        "--frozen-statistics", action="store_true", help="batch norms keep their mean and variance, for fine-tuning"
+    )
+    parser.add_argument(
         "--fusion-stage", type=int, choices=(2, 3, 4), default=2, help="down-samplings before fusion (%(default)s)"
     )
     parser.add_argument("--fixed-weights", action="store_true", help="equation 1 instead of dynamic loss weights")
@@ -73,6 +79,11 @@ def run(args: argparse.Namespace) -> int:
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if args.fixed_weights:
         chosen["dynamic_weights"] = False
+    if args.frozen_statistics:
+        chosen["frozen_statistics"] = True
+    if args.drop_depth is not None:
+        augmentation = PRESETS[args.preset].augmentation
+        chosen["augmentation"] = dataclasses.replace(augmentation, drop_depth=args.drop_depth)
     preset = dataclasses.replace(PRESETS[args.preset], **chosen)
     frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers)
     module = StairNetTraining(float(args.width), preset, args.fusion_stage)

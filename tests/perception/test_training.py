@@ -108,6 +108,14 @@ def test_training_moves_the_loss_weights_and_leaves_checkpoints(data, tmp_path):
     assert not module.network.training
 
 
+@pytest.mark.parametrize("frozen", [False, True])
+def test_frozen_statistics_stay(data, tmp_path, frozen):
+    module = trained(data, tmp_path, dataclasses.replace(QUICK, frozen_statistics=frozen))
+    means = [tensor for name, tensor in module.network.state_dict().items() if name.endswith("running_mean")]
+    assert means
+    assert all(not mean.any() for mean in means) == frozen
+
+
 @pytest.mark.slow
 def test_a_few_steps_on_two_frames_lower_the_loss(data):
     torch.manual_seed(0)
