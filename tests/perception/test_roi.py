@@ -97,13 +97,14 @@ def test_cells_around_the_centre_answer():
 def test_loss_falls_with_the_right_answer_and_only_there():
     regions = Regions(torch.tensor([True]), torch.tensor([[0.469, 0.469, 1.0, 233 / 512]]))
     empty = [torch.full((1, 3, 512 // s, 512 // s, 5), -6.0) for s in STRIDES]
-    right = [grid.clone() for grid in empty]
-    right[2][0, :, 7, 7, :4] = 0.0
+    placed, right, wrong = ([grid.clone() for grid in empty] for _ in range(3))
+    for raw in (placed, right, wrong):
+        raw[2][0, :, 7, 7, :4] = 0.0
     right[2][0, 1, 7, 7, 4] = 6.0
-    wrong = [grid.clone() for grid in empty]
     wrong[2][0, 1, 2, 12, 4] = 6.0
-    losses = [sum(roi_loss(raw, regions, ANCHORS).values()).item() for raw in (right, empty, wrong)]
-    assert losses[0] < losses[1] < losses[2]
+    unplaced, silent, found, misplaced = (roi_loss(raw, regions, ANCHORS) for raw in (empty, placed, right, wrong))
+    assert silent["box"] < unplaced["box"]
+    assert found["score"] < silent["score"] < misplaced["score"]
     nothing = roi_loss(empty, Regions(torch.tensor([False]), torch.zeros(1, 4)), ANCHORS)
     assert nothing["box"].item() == 0.0
 
