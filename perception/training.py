@@ -231,8 +231,8 @@ class FrameModule(L.LightningDataModule):
         return DataLoader(frames, batch, sampler=sampler, num_workers=self._workers, drop_last=len(sampler) > batch)
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        """The same frames after every epoch, spread evenly over the set, always at full size."""
-        frames = GridFrames(self._val, None, encode=self._encode)
+        """The same frames after every epoch, spread evenly over the set, at the last epoch's size."""
+        frames = GridFrames(self._val, None, self._size(self._preset.epochs - 1), encode=self._encode)
         count = min(self._validation_frames or len(frames), len(frames))
         chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
         return DataLoader(frames, 8, sampler=chosen, num_workers=self._workers)

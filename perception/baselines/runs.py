@@ -59,10 +59,16 @@ class LearnedRow:
     Attributes:
         make: training module from width and preset.
         encode: its input and targets from a frame.
+        half_size: whether all its epochs are at half size, for a network that is used at half size too.
     """
 
     make: Callable[[float, TrainingPreset], DetectorTraining]
     encode: Encoder = as_arrays
+    half_size: bool = False
+
+    def preset(self, common: TrainingPreset) -> TrainingPreset:
+        """The common preset, but for what is this row's own affair."""
+        return dataclasses.replace(common, small_share=1.0) if self.half_size else common
 
 
 def _v2(fusion_stage: int = 2, *, dynamic: bool = True) -> LearnedRow:
@@ -76,7 +82,7 @@ def _v2(fusion_stage: int = 2, *, dynamic: bool = True) -> LearnedRow:
 LEARNED_ROWS: dict[str, LearnedRow] = {
     "stairnetv2": _v2(),
     "stairnet": LearnedRow(MonocularTraining, stairnet_arrays),
-    "roi": LearnedRow(RoiTraining, roi_arrays),
+    "roi": LearnedRow(RoiTraining, roi_arrays, half_size=True),
     "stairnetv2_fixed_weights": _v2(dynamic=False),
     "stairnetv2_fusion_3": _v2(3),
     "stairnetv2_fusion_4": _v2(4),
@@ -91,7 +97,7 @@ class Run:
         row: key of `LEARNED_ROWS`.
         seed: of weights, order and augmentation.
         width: channel width factor.
-        preset: how to train; "dynamic_weights" is the row's own affair.
+        preset: how to train, common to all rows; dynamic weights and the size of frames are the row's own affair.
         data: labelled set with `train` and `val`.
         folder: of all runs.
     """
@@ -119,7 +125,7 @@ class Run:
 
     def settings(self) -> dict[str, Any]:
         """What a run must agree on to be gone on with, JSON-able."""
-        training = dataclasses.asdict(self.preset)
+        training = dataclasses.asdict(LEARNED_ROWS[self.row].preset(self.preset))
         del training["dynamic_weights"]
         plain = {"row": self.row, "seed": self.seed, "width": self.width, "data": self.data.name, **training}
         settings: dict[str, Any] = json.loads(json.dumps(plain))
@@ -171,8 +177,9 @@ def _train(run: Run, workers: int, progress: bool) -> None:
     with atomic_path(run.path / SETTINGS_FILE) as temporary:
         temporary.write_text(json.dumps(run.settings(), indent=2) + "\n", encoding="utf-8")
     row = LEARNED_ROWS[run.row]
-    frames = FrameModule(run.data, run.preset, run.seed, workers, VALIDATION_FRAMES, row.encode)
-    module = row.make(run.width, run.preset)
+    preset = row.preset(run.preset)
+    frames = FrameModule(run.data, preset, run.seed, workers, VALIDATION_FRAMES, row.encode)
+    module = row.make(run.width, preset)
     train(module, frames, run.path, resume=True, progress=progress)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in module.network.state_dict().items()}
     with atomic_path(run.path / WEIGHTS_FILE) as temporary:

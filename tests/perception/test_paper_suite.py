@@ -224,6 +224,14 @@ def test_a_run_is_trained_once_and_found_again(data, tmp_path, row):
         list(train_missing([other], progress=False))
 
 
+def test_the_rows_share_all_but_the_regions_size():
+    own = {row: learned.preset(SUITE_PRESET) for row, learned in LEARNED_ROWS.items()}
+    assert dataclasses.replace(own.pop("roi"), small_share=SUITE_PRESET.small_share) == SUITE_PRESET
+    assert set(own.values()) == {SUITE_PRESET}
+    assert not SUITE_PRESET.is_small(SUITE_PRESET.epochs - 1)
+    assert LEARNED_ROWS["roi"].preset(SUITE_PRESET).is_small(SUITE_PRESET.epochs - 1)
+
+
 def test_rows_differ_in_what_they_are_about():
     made = {row: learned.make(0.25, TINY) for row, learned in LEARNED_ROWS.items()}
     stages = {row: m.network.fusion_stage for row, m in made.items() if isinstance(m.network, StairNetV2)}
