@@ -14,8 +14,7 @@ from perception.baselines.roi_network import cell_corners, decode_boxes
 MAX_RATIO = 4.0  # between the sides of a region and of an anchor that answers for it
 REACH = 0.5  # cells beyond a centre's own that answer too: those whose half faces the centre
 BALANCE = (4.0, 1.0, 0.4)  # of objectness at strides 8, 16 and 32: fine grids have more cells, mostly empty ones
-# Of the two terms. YOLOv5's 1 for the score is for COCO with its seven objects a picture; here there is at most one,
-# and those few cells that answer for it would drown in the rest.
+# Of the two terms. YOLOv5's 1 for the score is for COCO with its seven objects a picture; here there is at most one.
 BOX_GAIN, SCORE_GAIN = 0.05, 7.0
 TINY = 1e-7
 

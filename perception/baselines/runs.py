@@ -34,7 +34,7 @@ WEIGHTS_FILE = "weights.safetensors"
 SETTINGS_FILE = "settings.json"
 
 # A short schedule for all learned rows: all epochs but the last two at half size, small batches, so that 20,000 frames
-# make 5000 steps and a row costs about a quarter of an hour of one CPU core. No modality is taken away: the monocular
+# make 5000 steps and a row costs 20 to 25 minutes of one CPU core. No modality is taken away: the monocular
 # rows would have nothing to fall back on. All else is the preset `fast`.
 SUITE_PRESET = dataclasses.replace(
     PRESETS["fast"],
@@ -136,7 +136,8 @@ class Run:
         path = self.path / SETTINGS_FILE
         if not path.is_file():
             return
-        there, wanted = json.loads(path.read_text(encoding="utf-8")), self.settings()
+        defaults = {field.name: field.default for field in dataclasses.fields(TrainingPreset)}  # of younger settings
+        there, wanted = defaults | json.loads(path.read_text(encoding="utf-8")), self.settings()
         other = [
             f"{name} {there.get(name)} instead of {value}" for name, value in wanted.items() if there.get(name) != value
         ]

@@ -58,7 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     paper = parser.add_argument_group("paper suite")
     paper.add_argument("--runs", type=Path, default=Path("runs/paper"), help="folder of the trainings (%(default)s)")
     paper.add_argument("--results", type=Path, default=Path("results"), help="folder for the tables (%(default)s)")
-    paper.add_argument("--epochs", type=positive_int, help="of every training (20: about 15 core-minutes each)")
+    paper.add_argument("--epochs", type=positive_int, help="of every training (20: about 20 core-minutes each)")
     paper.add_argument("--frames-per-epoch", type=positive_int, help="of every training (1000)")
     paper.add_argument("--seeds", type=seed_list, default=(0,), help="of the trainings, comma-separated (0)")
     paper.add_argument("--trained-only", action="store_true", help="train nothing: tables of the rows that are trained")

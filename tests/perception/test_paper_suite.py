@@ -224,6 +224,17 @@ def test_a_run_is_trained_once_and_found_again(data, tmp_path, row):
         list(train_missing([other], progress=False))
 
 
+def test_a_run_from_before_a_setting_existed_is_gone_on_with(tmp_path):
+    run = Run("stairnet", 0, 0.25, TINY, tmp_path / "set", tmp_path / "runs")
+    older = run.settings()
+    del older["frozen_statistics"]
+    run.path.mkdir(parents=True)
+    (run.path / "settings.json").write_text(json.dumps(older))
+    run.check_settings()
+    with pytest.raises(RunError, match="frozen_statistics False instead of True"):
+        dataclasses.replace(run, preset=dataclasses.replace(TINY, frozen_statistics=True)).check_settings()
+
+
 def test_the_rows_share_all_but_the_regions_size():
     own = {row: learned.preset(SUITE_PRESET) for row, learned in LEARNED_ROWS.items()}
     assert dataclasses.replace(own.pop("roi"), small_share=SUITE_PRESET.small_share) == SUITE_PRESET
