@@ -76,8 +76,8 @@ def make_vec_env(
         env_kwargs: keyword arguments, the same for each.
         seed: environment i is seeded with seed + i at its first reset.
         kind: "subproc" (one process each, started safely from a thread-free server), "dummy" (this process), "workers"
-            (one process per core, each with its share of the environments; see `stair_env.vector`) or "auto"
-            ("workers" on more than two cores, else "dummy").
+            (one process per core, each with its share of the environments; without cameras this process is one of them;
+            see `stair_env.vector`) or "auto" ("workers" on several cores, else "dummy").
 
     Raises:
         ValueError: wrong kind or count, or a keyword argument of the environment is wrong.
@@ -88,12 +88,12 @@ def make_vec_env(
         raise ValueError(f"kind={kind!r} must be one of {', '.join(VEC_KINDS)}")
     if num_envs < 1:
         raise ValueError(f"num_envs={num_envs!r} must be >= 1")
-    if kind == "auto":  # a physics step is shorter than a pipe's round trip
-        kind = "workers" if (os.cpu_count() or 1) > 2 and num_envs > 1 else "dummy"
+    if kind == "auto":  # not a process each: a physics step is shorter than a round trip
+        kind = "workers" if (os.cpu_count() or 1) > 1 and num_envs > 1 else "dummy"
     venv: VecEnv
     factory = functools.partial(make_env, env_id, dict(env_kwargs or {}))
     if kind == "workers":
-        venv = _make_worker_env(functools.partial(factory, monitor=False), num_envs)
+        venv = _make_worker_env(functools.partial(factory, monitor=False), num_envs, caller_steps=env_id == CLIMB_ID)
         venv.seed(seed)
         return venv
     factory().close()  # a wrong argument is reported here, in one piece, and not by a dying worker
@@ -105,13 +105,14 @@ def make_vec_env(
     return venv
 
 
-def _make_worker_env(factory: Callable[[], gym.Env], num_envs: int) -> VecEnv:
+def _make_worker_env(factory: Callable[[], gym.Env], num_envs: int, caller_steps: bool) -> VecEnv:
     from stable_baselines3.common.vec_env import VecMonitor
 
     from policies.vec_adapter import StairSb3VecEnv
     from stair_env.vector import WorkerVectorEnv
 
-    return VecMonitor(StairSb3VecEnv(WorkerVectorEnv([factory] * num_envs, autoreset_mode="SameStep")))
+    vector = WorkerVectorEnv([factory] * num_envs, autoreset_mode="SameStep", caller_steps=caller_steps)
+    return VecMonitor(StairSb3VecEnv(vector))
 
 
 def _prepared_start_method() -> str:

@@ -1,4 +1,4 @@
-"""Many environments as one, stepped by a few worker processes: what `gymnasium.make_vec` returns for our ids.
+"""Many environments as one, stepped by a few processes: what `gymnasium.make_vec` returns for our ids.
 
 `gym.make_vec("stair_env/StairClimb-v0", num_envs=8)` makes one. Seeds, time limit, observations, rewards, flags and
 infos are those of `gymnasium.vector.SyncVectorEnv` over the same environments.
@@ -32,7 +32,9 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
     Args:
         factories: one per environment, of equal spaces; called in the workers, the first one also here to learn them.
         autoreset_mode: "NextStep" (Gymnasium's default), "SameStep" or "Disabled", or the AutoresetMode.
-        workers: number of processes; None takes the number of cores, at most one per environment.
+        workers: number of processes that step; None takes the number of cores, at most one per environment.
+        caller_steps: whether the calling process is one of them, instead of waiting for as many others. An environment
+            that takes its process down takes the caller down too.
         context: "fork", "forkserver" or "spawn"; None takes "forkserver" where there is one, else "spawn".
         copy: whether observations are copies; if not, they are the shared memory that the next step overwrites.
         timeout_s: how long a worker may take for one request.
@@ -49,6 +51,7 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         workers: int | None = None,
+        caller_steps: bool = False,
         context: str | None = None,
         copy: bool = True,
         timeout_s: float = 300.0,
@@ -75,6 +78,7 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
             action_space,
             autoreset=mode.name.lower(),
             workers=workers,
+            caller_steps=caller_steps,
             context=context,
             timeout_s=timeout_s,
         )
@@ -204,8 +208,8 @@ def _step_info(result: StepInfo) -> dict[str, Any]:
 
 
 def make_climb_vec(num_envs: int = 1, **kwargs: Any) -> WorkerVectorEnv:
-    """The vector form of `stair_env/StairClimb-v0`; see `make_worker_vec`."""
-    return make_worker_vec("stair_env/StairClimb-v0", num_envs, **kwargs)
+    """The vector form of `stair_env/StairClimb-v0`, whose caller steps too unless told; see `make_worker_vec`."""
+    return make_worker_vec("stair_env/StairClimb-v0", num_envs, **{"caller_steps": True, **kwargs})
 
 
 def make_rgbd_vec(num_envs: int = 1, **kwargs: Any) -> WorkerVectorEnv:
@@ -220,6 +224,7 @@ def make_worker_vec(
     max_episode_steps: int | None = stair_env.MAX_EPISODE_STEPS,
     autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
     workers: int | None = None,
+    caller_steps: bool = False,
     context: str | None = None,
     copy: bool = True,
     timeout_s: float = 300.0,
@@ -231,7 +236,7 @@ def make_worker_vec(
         env_id: the id.
         num_envs: how many environments.
         max_episode_steps: time limit, as `gymnasium.make` applies it; None takes the id's own.
-        autoreset_mode, workers, context, copy, timeout_s: see `WorkerVectorEnv`.
+        autoreset_mode, workers, caller_steps, context, copy, timeout_s: see `WorkerVectorEnv`.
         env_kwargs: keyword arguments of each environment.
 
     Raises:
@@ -247,6 +252,7 @@ def make_worker_vec(
         [factory] * num_envs,
         autoreset_mode=autoreset_mode,
         workers=workers,
+        caller_steps=caller_steps,
         context=context,
         copy=copy,
         timeout_s=timeout_s,

@@ -79,7 +79,7 @@ class Failure:
 
 
 class Worker:
-    """The environments of one process, and what can be asked of them.
+    """The environments of one share, stepped in the process that holds this, and what can be asked of them.
 
     Args:
         task: what to build.
@@ -107,9 +107,12 @@ class Worker:
             self.current = self._task.first + offset
             self._envs.append(factory())
 
-    def answer(self, command: str, arguments: tuple[Any, ...]) -> Any:
-        """Carry out a request."""
-        return self._commands[command](*arguments)
+    def attempt(self, command: str, arguments: tuple[Any, ...]) -> Any:
+        """The result of a request, or the `Failure` that it ended in."""
+        try:
+            return self._commands[command](*arguments)
+        except Exception as error:
+            return Failure(self.current, isinstance(error, AttributeError), traceback.format_exc())
 
     def step(self) -> list[StepInfo]:
         """Step every environment with its row of the shared actions."""
@@ -247,16 +250,10 @@ def _next_request(connection: Connection, watch: Watch, parent: int) -> Request 
 def _answer(connection: Connection, worker: Worker, request: Request) -> None:
     """Send the result of a request, or how it failed (also if the result cannot be pickled)."""
     number, command, arguments = request
-    result: Any
-    is_attribute_error = False
+    result = worker.attempt(command, arguments)
     try:
-        try:
-            result = worker.answer(command, arguments)
-        except AttributeError:
-            is_attribute_error = True
-            raise
-        connection.send_bytes(pickle.dumps((number, result), pickle.HIGHEST_PROTOCOL))  # `send` is slow at small things
-    except BrokenPipeError:
-        return
+        message = pickle.dumps((number, result), pickle.HIGHEST_PROTOCOL)  # `send` is slow at small things
     except Exception:
-        connection.send((number, Failure(worker.current, is_attribute_error, traceback.format_exc())))
+        message = pickle.dumps((number, Failure(worker.current, False, traceback.format_exc())))
+    with contextlib.suppress(BrokenPipeError):
+        connection.send_bytes(message)

@@ -7,14 +7,12 @@ each steps its share of the environments in turn (`stair_env.worker_process`).
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 import os
 import pickle
-import signal
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from typing import Any, NoReturn
@@ -27,6 +25,7 @@ from stair_env.observation import STAIR_FIELDS
 from stair_env.shared_arrays import ArrayLayout, SharedArrays
 from stair_env.stairs import check_choice
 from stair_env.watch import Watch
+from stair_env.worker_lifetime import end_processes, exit_cause, start_context
 from stair_env.worker_process import (
     AWAKE_S,
     OBSERVATION,
@@ -35,11 +34,11 @@ from stair_env.worker_process import (
     EnvFactory,
     Failure,
     StepInfo,
+    Worker,
     WorkerTask,
     run_worker,
 )
 
-CLOSE_TIMEOUT_S = 5.0  # a worker that has not gone by then is killed
 DEATH_CHECK_S = 1.0  # upper bound on how late a timeout is noticed
 BUILDING = "construction"
 LOOKUPS = ("call()", "get()")  # an AttributeError in these is the asker's, who may expect it
@@ -58,7 +57,9 @@ class WorkerPool:
         observation_space: of one environment, a Dict of Boxes.
         action_space: of one environment.
         autoreset: "next_step", "same_step" or "disabled" (the caller resets).
-        workers: number of processes; None takes the number of cores, at most one per environment.
+        workers: number of processes that step; None takes the number of cores, at most one per environment.
+        caller_steps: whether the calling process is one of them and steps the last share itself, while it would else
+            wait. An environment that takes its process down takes the caller down too.
         context: "fork", "forkserver" or "spawn"; None takes "forkserver" where there is one, else "spawn".
         timeout_s: how long a worker may take for one request.
 
@@ -75,6 +76,7 @@ class WorkerPool:
         *,
         autoreset: str,
         workers: int | None = None,
+        caller_steps: bool = False,
         context: str | None = None,
         timeout_s: float = 300.0,
     ) -> None:
@@ -84,7 +86,7 @@ class WorkerPool:
         self._broken: str | None = None
         self._pending = False
         self._number = 0  # of the last request; an answer to an older one (Ctrl-C left it unread) is dropped
-        ctx = _context(context)
+        ctx = start_context(context)
         arrays = SharedArrays(_layout(self.num_envs, observation_space, action_space), ctx)
         views = arrays.views()
         self.observation = {key: views[OBSERVATION + key] for key in observation_space.spaces}
@@ -93,16 +95,22 @@ class WorkerPool:
         self.terminated, self.truncated = views["terminated"], views["truncated"]
         self._processes: list[BaseProcess] = []
         self._connections: list[Connection] = []
+        self._own: list[Worker] = []  # at most one: of the share that this process steps
+        self._own_request: tuple[str, tuple[Any, ...]] | None = None
         self._watch = Watch()
         self.shares = _shares(self.num_envs, _worker_count(workers, self.num_envs))
         # The finalizer knows the lists and not the pool, so that a pool nobody holds any more ends its processes.
-        self._finalizer = weakref.finalize(self, _end, os.getpid(), self._processes, self._connections)
+        self._finalizer = weakref.finalize(self, _end, os.getpid(), self._processes, self._connections, self._own)
         try:
             for share in self.shares:
                 task = WorkerTask(
                     [factories[i] for i in share], share.start, autoreset == "next_step", autoreset == "same_step"
                 )
-                self._start(ctx, task, arrays)
+                if caller_steps and share is self.shares[-1]:
+                    self._own.append(Worker(task, views))
+                    self._own_request = ("build", ())
+                else:
+                    self._start(ctx, task, arrays)
             self._collect(range(len(self.shares)), BUILDING)
         except BaseException:
             self.close()
@@ -127,8 +135,9 @@ class WorkerPool:
         self.actions[:] = actions
         self._number += 1
         message = pickle.dumps((self._number, "step", ()))
-        for worker in range(len(self.shares)):
+        for worker in range(len(self._processes)):
             self._send(worker, message)
+        self._own_request = ("step", ())
         self._pending = True
 
     def provide_stairs(self, blocks: np.ndarray) -> None:
@@ -204,7 +213,7 @@ class WorkerPool:
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of the workers."""
+        """Process ids of the workers, the calling process not among them."""
         return [process.pid or 0 for process in self._processes]
 
     # ------------------------------------------------------------------ exchange
@@ -230,13 +239,16 @@ class WorkerPool:
         asked = [worker for worker, chosen in own.items() if chosen]
         self._number += 1
         for worker in asked:
-            self._send(worker, pickle.dumps((self._number, command, arguments(own[worker]))))
+            if worker < len(self._processes):
+                self._send(worker, pickle.dumps((self._number, command, arguments(own[worker]))))
+            else:
+                self._own_request = (command, arguments(own[worker]))
         order = [i for worker in asked for i in own[worker]]
         results = self._gather(asked, f"{command}()")
         return dict(zip(order, results, strict=False))
 
     def _send(self, worker: int, message: bytes) -> None:
-        """Send a pickled request."""
+        """Send a pickled request to a process."""
         try:
             self._connections[worker].send_bytes(message)
         except (BrokenPipeError, ConnectionResetError):
@@ -250,6 +262,9 @@ class WorkerPool:
         """One answer from each worker; watches that none dies or falls silent meanwhile."""
         answers: dict[int, Any] = {}
         deadline = time.monotonic() + self._timeout_s
+        if self._own and len(self._processes) in workers:  # the others are at work by now
+            assert self._own_request is not None
+            answers[len(self._processes)] = self._own[0].attempt(*self._own_request)
         while len(answers) < len(workers):
             # While nobody has answered, the workers need the cores more than whoever waits for them.
             ready = self._watch.ready(DEATH_CHECK_S, AWAKE_S if answers else 0.0)
@@ -285,7 +300,7 @@ class WorkerPool:
         hint = ""
         if doing == BUILDING:
             hint = '; with spawn and forkserver a script needs `if __name__ == "__main__":` around what it starts'
-        self._break(f"{self._name(worker)} died in {doing}: {_exit_cause(process.exitcode)}{hint}")
+        self._break(f"{self._name(worker)} died in {doing}: {exit_cause(process.exitcode)}{hint}")
 
     def _break(self, message: str) -> NoReturn:
         """Give the pool up: the other workers' state is worth nothing without this one."""
@@ -317,14 +332,6 @@ class _Returns:
         return self._value
 
 
-def _context(name: str | None) -> BaseContext:
-    available = multiprocessing.get_all_start_methods()
-    if name is None:
-        name = "forkserver" if "forkserver" in available else "spawn"
-    check_choice("context", name, tuple(available))
-    return multiprocessing.get_context(name)
-
-
 def _worker_count(workers: int | None, num_envs: int) -> int:
     if num_envs < 1:
         raise ValueError(f"num_envs={num_envs!r} must be >= 1")
@@ -337,9 +344,10 @@ def _worker_count(workers: int | None, num_envs: int) -> int:
 
 
 def _shares(num_envs: int, workers: int) -> list[range]:
-    """Environments in order, dealt as evenly as can be."""
-    bounds = np.linspace(0, num_envs, workers + 1).round().astype(int).tolist()
-    return [range(low, high) for low, high in itertools.pairwise(bounds)]
+    """Environments in order, dealt as evenly as can be, the larger shares first."""
+    least, more = divmod(num_envs, workers)
+    ends = itertools.accumulate(least + (worker < more) for worker in range(workers))
+    return [range(low, high) for low, high in itertools.pairwise([0, *ends])]
 
 
 def _layout(num_envs: int, observation_space: spaces.Dict, action_space: spaces.Box) -> ArrayLayout:
@@ -358,42 +366,9 @@ def _layout(num_envs: int, observation_space: spaces.Dict, action_space: spaces.
     return layout
 
 
-def _exit_cause(exitcode: int | None) -> str:
-    if exitcode is None:
-        return "its pipe broke"
-    if exitcode >= 0:
-        return f"exit code {exitcode}"
-    try:
-        return f"exit code {exitcode} ({signal.Signals(-exitcode).name})"
-    except ValueError:
-        return f"exit code {exitcode}"
-
-
-def _end(owner: int, processes: list[BaseProcess], connections: list[Connection]) -> None:
-    """Ask the workers to go, kill those that do not; only in the process that started them."""
-    if os.getpid() != owner:
-        return
-    deadline = time.monotonic() + CLOSE_TIMEOUT_S
-    for connection in connections:
-        try:
-            connection.send(None)
-        except OSError:
-            continue
-    while (alive := [p for p in processes if p.is_alive()]) and time.monotonic() < deadline:
-        for connection in connections:  # an answer that nobody reads would keep its worker from going
-            _drain(connection)
-        wait([process.sentinel for process in alive], 0.1)
-    for process in processes:
-        if process.is_alive():
-            process.kill()
-        process.join()
-    for connection in connections:
-        connection.close()
-
-
-def _drain(connection: Connection) -> None:
-    try:
-        while connection.poll():
-            connection.recv_bytes()
-    except (EOFError, OSError):
-        return
+def _end(owner: int, processes: list[BaseProcess], connections: list[Connection], own: list[Worker]) -> None:
+    """End the workers and close the caller's environments."""
+    end_processes(owner, processes, connections)
+    if os.getpid() == owner:
+        for worker in own:
+            worker.close()

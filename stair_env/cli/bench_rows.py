@@ -137,7 +137,7 @@ def vector_step(rounds: int) -> Row:
         return seconds_per_call(lambda: single.step(actions[0]), VECTOR_STEPS)()
 
     try:
-        name = f"env step, {VECTOR_ENVS} in worker processes / one alone"
+        name = f"env step, {VECTOR_ENVS} of a vector / one alone"
         return time_pair(name, ours, theirs, rounds=rounds, target=1.7)
     finally:
         vector.close()

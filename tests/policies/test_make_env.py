@@ -40,8 +40,9 @@ def rollout(kind: str) -> list[np.ndarray]:
     return seen
 
 
-def test_processes_and_one_process_see_the_same() -> None:
-    one, many = rollout("dummy"), rollout("subproc")
+@pytest.mark.parametrize("kind", ["subproc", "workers"])
+def test_processes_and_one_process_see_the_same(kind: str) -> None:
+    one, many = rollout("dummy"), rollout(kind)
     assert all(np.array_equal(a, b) for a, b in zip(one, many, strict=True))
     assert not np.array_equal(one[0][0], one[0][1])
 

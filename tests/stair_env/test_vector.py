@@ -103,9 +103,12 @@ def assert_same(ours: Any, theirs: Any) -> None:
         assert ours == theirs
 
 
+@pytest.mark.parametrize("caller_steps", [False, True])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_is_gymnasiums_own_vector_infos_included(mode: AutoresetMode) -> None:
-    ours, theirs = make_toys(autoreset_mode=mode), SyncVectorEnv([Toy] * 5, autoreset_mode=mode)
+def test_is_gymnasiums_own_vector_infos_included(mode: AutoresetMode, caller_steps: bool) -> None:
+    ours = make_toys(autoreset_mode=mode, caller_steps=caller_steps)
+    assert len(ours.pool.pids) == 2 - caller_steps
+    theirs = SyncVectorEnv([Toy] * 5, autoreset_mode=mode)
     assert ours.metadata == theirs.metadata and ours.metadata["autoreset_mode"] is mode
     assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
     rng, ends = np.random.default_rng(0), 0
@@ -138,10 +141,12 @@ def test_disabled_autoreset_waits_for_a_masked_reset() -> None:
     ours.close()
 
 
-def test_climbing_is_the_same_in_workers() -> None:
+@pytest.mark.parametrize("caller_steps", [False, True])
+def test_climbing_is_the_same_in_workers(caller_steps: bool) -> None:
     """Through `gym.make_vec`, with the default start method and a time limit that strikes."""
     kwargs: dict[str, Any] = {"num_envs": 3, "direction": "both", "max_episode_steps": 6}
-    ours = gym.make_vec(PLAIN, vectorization_mode="vector_entry_point", workers=2, **kwargs)
+    mode = "vector_entry_point"
+    ours = gym.make_vec(PLAIN, vectorization_mode=mode, workers=2, caller_steps=caller_steps, **kwargs)
     theirs = gym.make_vec(PLAIN, vectorization_mode="sync", **kwargs)
     rng = np.random.default_rng(1)
     assert_same(ours.reset(seed=7), theirs.reset(seed=7))
@@ -187,7 +192,7 @@ def test_a_dead_worker_is_named_within_seconds(toys: WorkerVectorEnv, harm: floa
     actions = np.zeros((5, 2), np.float32)
     actions[3, 0] = harm
     before = time.monotonic()
-    with pytest.raises(WorkerError, match=rf"worker 1 \(environments 2-4.*{cause}"):
+    with pytest.raises(WorkerError, match=rf"worker 1 \(environments 3-4.*{cause}"):
         toys.step(actions)
     assert time.monotonic() - before < 10
     with pytest.raises(RuntimeError, match=cause):  # and again, instead of a hang
@@ -196,7 +201,7 @@ def test_a_dead_worker_is_named_within_seconds(toys: WorkerVectorEnv, harm: floa
 
 def test_a_worker_killed_between_steps_is_named(toys: WorkerVectorEnv) -> None:
     os.kill(toys.pool.pids[0], signal.SIGKILL)
-    with pytest.raises(WorkerError, match=r"worker 0 \(environments 0-1.*SIGKILL"):
+    with pytest.raises(WorkerError, match=r"worker 0 \(environments 0-2.*SIGKILL"):
         toys.step(np.zeros((5, 2), np.float32))
 
 
@@ -228,6 +233,42 @@ def test_an_environment_that_cannot_be_built_is_named() -> None:
 
     with pytest.raises(WorkerError, match=r"(?s)environment 0 of worker 0.*OSError: no such robot"):
         WorkerVectorEnv([second_fails], context="fork")
+
+
+def test_a_caller_that_steps_too_loses_nobody_and_nothing() -> None:
+    """Failures in its own share and in a worker's, lookups across both, and the end of its environments."""
+    closed: list[str] = []
+
+    class Closing(Toy):
+        def close(self) -> None:
+            closed.append(self.label)
+
+    env = WorkerVectorEnv([Toy, Toy, Closing], workers=2, caller_steps=True, context="fork")
+    closed.clear()  # of the environment that told its spaces
+    env.reset(seed=0)
+    own, other = np.zeros((2, 3, 2), np.float32)
+    own[2, 0], other[1, 0] = RAISE, RAISE
+    for actions, match in ((own, "environment 2 of worker 1"), (other, "environment 1 of worker 0")):
+        with pytest.raises(WorkerError, match=f"(?s){match}.*ValueError: the stairs are gone"):
+            env.step(actions)
+    env.reset(seed=0)
+    env.set_attr("label", ["a", "b", "c"])
+    assert env.get_attr("label") == ("a", "b", "c") and env.call("double", 2) == (4, 4, 4)
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        env.get_attr("no_such_thing")
+    other[1, 0] = KILL
+    with pytest.raises(WorkerError, match=r"worker 0 \(environments 0-1.*SIGKILL"):
+        env.step(other)
+    with pytest.raises(WorkerError, match="SIGKILL"):
+        env.step(own)
+    assert closed == ["c"]
+
+
+def test_a_caller_alone_needs_no_process() -> None:
+    env = make_toys(3, workers=1, caller_steps=True)
+    env.reset(seed=0)
+    assert env.pool.pids == [] and env.step(np.full((3, 2), 0.5, np.float32))[1].tolist() == [1.0, 1.0, 1.0]
+    env.close()
 
 
 def test_attributes_and_methods_reach_every_environment(toys: WorkerVectorEnv) -> None:
