@@ -162,12 +162,19 @@ class NosingMap:
         self._measure_lengths(nosings, measured)
         self._keep(self.misses <= self.hits + MAX_MISSES)
 
-    def extend_behind(self, count: int) -> None:
-        """Add nosings nearer than all known ones, a tread apart, that nobody has seen."""
+    def extend_behind(self, count: int, riser_m: float, riser_std_m: float) -> None:
+        """Add nosings nearer than all known ones, a tread apart, that nobody has seen.
+
+        Args:
+            count: how many.
+            riser_m, riser_std_m: of each, metres.
+        """
         for _ in range(count):
-            tread = self.tread.at(0, fallback=DEFAULT_TREAD_M)
+            tread, known = self.tread.at(0, fallback=DEFAULT_TREAD_M), len(self)
             self._insert(float(self.ahead[0]) - tread, UNSEEN_STD_M)
-            self.misses[0] = -UNSEEN_PATIENCE
+            if len(self) > known:
+                self.misses[0] = -UNSEEN_PATIENCE
+                self.riser.update(0, riser_m, riser_std_m)
 
     def _correct(self, index: np.ndarray, measured: np.ndarray, std: np.ndarray) -> None:
         seen = index + 1

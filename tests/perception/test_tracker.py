@@ -305,17 +305,30 @@ def test_a_phantom_far_behind_the_flight_is_not_the_next_edge() -> None:
 
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1), ("down", -1)])
 def test_edges_below_the_view_are_inferred_from_the_feet(direction: str, sign: int) -> None:
-    """The first nosing in view is the second one: the feet stand one riser away from its level."""
+    """The first nosing in view is not the first one: the feet stand risers, uneven ones, away from its level."""
     riser, tread = 0.15, 0.3
-    level = -0.45 + sign * riser  # of the ground before the first nosing in view, relative to the camera
-    nosing = Nosing(0.6, 0.005, level + (riser if sign > 0 else 0.0), 0.005, riser, 0.003, tread, 0.004)
+    level = -0.45  # of the ground before the first nosing in view, relative to the camera
+    nosing = Nosing(0.7, 0.005, level + (riser if sign > 0 else 0.0), 0.005, riser, 0.003, tread, 0.004)
     estimate = StairEstimate(True, sign, nosings=(nosing,))
-    for ground, first in ((-0.45, 0.6 - tread), (level, 0.6)):
+    for hidden, rise in ((0, 0.0), (1, 0.114), (1, 0.16), (2, 0.27)):
         tracker = StairTracker(HIP)
-        tracker.observe(estimate, 0.0, CameraPlacement(0.34, 0.0, 0.0, ground_m=ground))
+        tracker.observe(estimate, 0.0, CameraPlacement(HIP, 0.0, 0.0, ground_m=level - sign * rise))
         block = tracker.block()
-        assert block.edge_distance == pytest.approx(first + CAMERA.forward_m - HIP, abs=1e-6)
-        assert block.step_height == pytest.approx(riser)
+        assert block.edge_distance == pytest.approx(0.7 - hidden * tread, abs=1e-6)
+        assert block.step_height == pytest.approx(rise / hidden if hidden else riser, abs=1e-6)
+
+
+def test_a_riser_whose_foot_is_out_of_view_is_felt() -> None:
+    """Close to the stairs the picture begins at the first nosing: its riser is what the soles stand below it."""
+    riser, felt, tread = 0.15, 0.114, 0.3
+    first = Nosing(0.25, 0.005, -0.3, 0.005, None, None, tread, 0.004)
+    second = Nosing(0.25 + tread, 0.005, -0.3 + riser, 0.005, riser, 0.003, tread, 0.004)
+    tracker = StairTracker(HIP)
+    tracker.observe(
+        StairEstimate(True, 1, nosings=(first, second)), 0.0, CameraPlacement(HIP, 0.0, 0.0, ground_m=-0.3 - felt)
+    )
+    block = tracker.block()
+    assert (block.edge_distance, block.step_height) == pytest.approx((0.25, felt), abs=1e-6)
 
 
 def test_step_is_cheap() -> None:
