@@ -16,7 +16,7 @@ from perception.backends import Backend, TorchBackend
 from perception.baselines.base import GridDetector, LineBackend, LineDetector
 from perception.baselines.classical import ClassicalDetector, ClassicalParameters
 from perception.baselines.paper_figure import compare, exemplary_frames
-from perception.baselines.paper_tables import PAPER_TABLES, Scores, table_notes, table_rows
+from perception.baselines.paper_tables import PAPER_TABLES, Scores, close_rows, table_notes, table_rows
 from perception.baselines.regions import SCORES, RegionScore, RememberedRegions, choose_least_score, region_note
 from perception.baselines.roi import RegionFinder, RoiClassicalDetector
 from perception.baselines.roi_network import RoiNetwork
@@ -57,6 +57,7 @@ class SuitePlan:
         runs: folder of the trainings.
         preset: of all trainings.
         seeds: of the trainings; the first also seeds the searches.
+        close_seeds: further seeds of rows that lie less than a point from another of their table.
         width: of all networks.
         tune_frames: validation frames of the searches.
         trials: candidates of each search.
@@ -70,9 +71,10 @@ class SuitePlan:
     runs: Path
     preset: TrainingPreset
     seeds: tuple[int, ...] = (0,)
+    close_seeds: tuple[int, ...] = (0, 1, 2)
     width: float = 0.25
-    tune_frames: int = 60
-    trials: int = 60
+    tune_frames: int = 200
+    trials: int = 120
     workers: int = 0
 
     def __post_init__(self) -> None:
@@ -82,6 +84,11 @@ class SuitePlan:
     def all_runs(self) -> list[Run]:
         """Every row with every seed: all rows of one seed before the next."""
         return [self.run_of(row, seed) for seed in self.seeds for row in LEARNED_ROWS]
+
+    def close_runs(self, scores: Scores) -> list[Run]:
+        """The further runs of rows that lie close together."""
+        rows = ["roi" if row == "roi_classical" else row for row in close_rows(scores)]
+        return [self.run_of(row, seed) for seed in self.close_seeds if seed not in self.seeds for row in rows]
 
     def run_of(self, row: str, seed: int) -> Run:
         """One training."""
@@ -110,24 +117,26 @@ class PaperSuite:
         self.tuning: dict[str, Any] = {}  # what the searches found
         self._region_notes: list[str] = []
 
-    def train(self, *, bar: bool = True) -> None:
-        """Train what is missing; goes on where it was killed.
+    def measure(self, *, train: bool = True, bar: bool = True) -> None:
+        """Train what is missing, going on where it was killed, then tune and score every row that is trained.
 
         Args:
+            train: if not, the tables say what is not trained.
             bar: whether the trainer shows its own bar.
 
         Raises:
             RunError: the folder holds runs with other settings.
         """
-        runs = self.plan.all_runs()
-        trained = train_missing(runs, workers=self.plan.workers, progress=bar)
-        for _ in self._progress(trained, total=len(runs), description="training"):
-            pass
-
-    def measure(self) -> None:
-        """Tune and score every row that is trained; the tables say which are not."""
         self._measure_classical()
-        for run in self.plan.all_runs():
+        self._measure_networks(self.plan.all_runs(), train, bar)
+        self._measure_networks(self.plan.close_runs(self.scores), train, bar)
+
+    def _measure_networks(self, runs: Sequence[Run], train: bool, bar: bool) -> None:
+        if train:
+            trained = train_missing(runs, workers=self.plan.workers, progress=bar)
+            for _ in self._progress(trained, total=len(runs), description="training"):
+                pass
+        for run in runs:
             if run.is_done:
                 run.check_settings()
                 self._measure_network(run)
@@ -251,5 +260,6 @@ def _report(table: int, plan: SuitePlan, scores: Scores, cpu_ms: Mapping[str, fl
     return {
         "rows": table_rows(table, scores, widths, cpu_ms),
         "notes": [*table_notes(table, scores), remark, TIME_REMARK.format(count=TIMED_FRAMES)],
-        "training": asdict(preset) | {"seeds": list(plan.seeds), "data": plan.data.name},
+        "training": asdict(preset)
+        | {"seeds": list(plan.seeds), "close_seeds": list(plan.close_seeds), "data": plan.data.name},
     }

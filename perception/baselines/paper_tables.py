@@ -14,6 +14,8 @@ from perception.evaluation import Tally
 LIGHTS = ("all", "day", "night")
 MEASURES = ("accuracy", "recall", "iou")
 CLOSE_POINTS = 1.0  # rows whose IOU differs by less need several seeds
+SEEDS_TO_TELL = 3
+UNTRAINED_ROW = "classical"  # has no seed
 
 Scores = Mapping[str, Sequence[Mapping[str, Tally]]]  # row -> per training seed: split -> counts
 
@@ -132,9 +134,8 @@ def spread_notes(table: int, scores: Scores) -> list[str]:
             notes.append(f"{paper.model}: {len(ious)} seeds, IOU {min(ious):.2f} to {max(ious):.2f}.")
     close = [
         f"{a.model} and {b.model}"
-        for a, b in itertools.combinations(papers, 2)
-        if abs(mean_iou(scores[a.row]) - mean_iou(scores[b.row])) < CLOSE_POINTS
-        and min(len(scores[a.row]), len(scores[b.row])) < 3
+        for a, b in _close_pairs(table, scores)
+        if any(len(scores[paper.row]) < SEEDS_TO_TELL for paper in (a, b) if paper.row != UNTRAINED_ROW)
     ]
     if close:
         notes.append(
@@ -142,6 +143,21 @@ def spread_notes(table: int, scores: Scores) -> list[str]:
             f"{'; '.join(close)}."
         )
     return notes
+
+
+def close_rows(scores: Scores) -> list[str]:
+    """Rows with training that lie less than a point of IOU from another of their table: these need several seeds."""
+    pairs = itertools.chain.from_iterable(_close_pairs(table, scores) for table in PAPER_TABLES)
+    return list(dict.fromkeys(paper.row for pair in pairs for paper in pair if paper.row != UNTRAINED_ROW))
+
+
+def _close_pairs(table: int, scores: Scores) -> list[tuple[PaperRow, PaperRow]]:
+    papers = [paper for paper in PAPER_TABLES[table] if paper.row in scores]
+    return [
+        (a, b)
+        for a, b in itertools.combinations(papers, 2)
+        if abs(mean_iou(scores[a.row]) - mean_iou(scores[b.row])) < CLOSE_POINTS
+    ]
 
 
 def night_note(scores: Scores) -> str:

@@ -61,6 +61,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     paper.add_argument("--epochs", type=positive_int, help="of every training (20: about 20 core-minutes each)")
     paper.add_argument("--frames-per-epoch", type=positive_int, help="of every training (1000)")
     paper.add_argument("--seeds", type=seed_list, default=(0,), help="of the trainings, comma-separated (0)")
+    paper.add_argument(
+        "--close-seeds",
+        type=seed_list,
+        default=(0, 1, 2),
+        help="of rows that come out less than a point of IOU apart (0,1,2)",
+    )
     paper.add_argument("--trained-only", action="store_true", help="train nothing: tables of the rows that are trained")
     paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores; speed suite: 1)")
     speed = parser.add_argument_group("speed suite")
@@ -74,8 +80,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     tuning.add_argument("--tune-data", type=Path, metavar="DIR", help="labelled set to tune on; --data when not given")
     tuning.add_argument("--tune-split", default="val", help="folder of that set to tune on (%(default)s)")
-    tuning.add_argument("--tune-frames", type=positive_int, default=60, help="frames to tune on (%(default)s)")
-    tuning.add_argument("--trials", type=positive_int, default=60, help="candidates of the search (%(default)s)")
+    tuning.add_argument("--tune-frames", type=positive_int, default=200, help="frames to tune on (%(default)s)")
+    tuning.add_argument("--trials", type=positive_int, default=120, help="candidates of the search (%(default)s)")
     add_common_arguments(parser)
 
 
@@ -144,12 +150,18 @@ def _run_paper(args: argparse.Namespace) -> int:
     preset = dataclasses.replace(SUITE_PRESET, **{name: value for name, value in chosen.items() if value})
     workers = args.workers if args.workers > 1 else 0
     plan = SuitePlan(
-        args.data, args.runs, preset, args.seeds, float(args.width[0]), args.tune_frames, args.trials, workers
+        data=args.data,
+        runs=args.runs,
+        preset=preset,
+        seeds=args.seeds,
+        close_seeds=args.close_seeds,
+        width=float(args.width[0]),
+        tune_frames=args.tune_frames,
+        trials=args.trials,
+        workers=workers,
     )
     suite = PaperSuite(plan, progress)
-    if not args.trained_only:
-        suite.train()
-    suite.measure()
+    suite.measure(train=not args.trained_only)
     tables = suite.tables()
     for name, report in tables.items():
         print(f"\n{name}")

@@ -114,6 +114,18 @@ def test_close_rows_of_one_seed_are_not_told_apart():
     assert len(table_notes(3, scores_of(stairnetv2=52, stairnetv2_fixed_weights=50))) == 1
     thrice = scores_of(stairnetv2=[50.4, 50.3, 50.5], stairnetv2_fixed_weights=[50, 50, 50])
     assert not any("told apart" in note for note in table_notes(3, thrice))
+    regions = IN_ORDER | scores_of(roi_classical=[20.5] * 3)
+    assert not any("told apart" in note for note in table_notes(6, regions)), "classical lines have no seed"
+
+
+def test_only_close_rows_ask_for_further_seeds(tmp_path):
+    far = IN_ORDER | scores_of(stairnetv2_fixed_weights=55, stairnetv2_fusion_3=57, stairnetv2_fusion_4=58)
+    plan = SuitePlan(tmp_path, tmp_path, TINY, close_seeds=(0, 5))
+    assert plan.close_runs(far) == []
+    close = far | scores_of(roi_classical=20.9, stairnetv2_fusion_4=60.5)
+    runs = [(run.row, run.seed) for run in plan.close_runs(close)]
+    assert runs == [("stairnetv2_fusion_4", 5), ("stairnetv2", 5), ("roi", 5)]
+    assert dataclasses.replace(plan, seeds=(0, 5)).close_runs(close) == []
 
 
 def frame(lines):
@@ -280,6 +292,7 @@ def test_one_command_trains_and_writes_the_tables(data, tmp_path, capsys):
         str(tmp_path / "r"),
     ]
     options += ["--epochs", "1", "--frames-per-epoch", "2", "--trials", "2", "--tune-frames", "2", "--seed", "4"]
+    options += ["--close-seeds", "0"]
     assert main(["perception-evaluate", *options]) == 0
     reports = {n: json.loads((tmp_path / "r" / f"table{n}.json").read_text()) for n in (2, 3, 6)}
     assert [len({row["model"] for row in reports[n]["rows"]}) for n in (2, 3, 6)] == [3, 2, 4]
