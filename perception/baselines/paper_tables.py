@@ -115,6 +115,7 @@ def order_note(table: int, scores: Scores) -> str:
     ours = " < ".join(f"{names[row]} {ious[row]:.2f}" for row in sorted(ious, key=lambda row: ious[row]))
     swapped = [
         f"{names[high]} should lead {names[low]} and is {ious[low] - ious[high]:.2f} points behind"
+        + (", less than their seeds differ" if _overlap(scores[low], scores[high]) else "")
         for low, high in itertools.combinations(names, 2)
         if ious[low] > ious[high]
     ]
@@ -122,6 +123,12 @@ def order_note(table: int, scores: Scores) -> str:
         return f"By IOU: {ours}."
     verdict = "the paper's order" if not swapped else f"not the paper's order: {'; '.join(swapped)}"
     return f"By IOU: {ours} — {verdict}."
+
+
+def _overlap(low: Sequence[Mapping[str, Tally]], high: Sequence[Mapping[str, Tally]]) -> bool:
+    """Whether a seed of the one stands above and another below a seed of the other; one seed each tells nothing."""
+    a, b = ([tally["all"].counts.iou for tally in tallies] for tallies in (low, high))
+    return max(len(a), len(b)) > 1 and min(a) < max(b) and min(b) < max(a)
 
 
 def spread_notes(table: int, scores: Scores) -> list[str]:

@@ -9,7 +9,7 @@ import torch
 
 from perception.baselines.paper_figure import FOUND, brightened, compare, exemplary_frames
 from perception.baselines.paper_suite import SuitePlan, interleaved_cpu_ms, tuned_within_regions
-from perception.baselines.paper_tables import PAPER_TABLES, table_notes, table_rows
+from perception.baselines.paper_tables import PAPER_TABLES, order_note, table_notes, table_rows
 from perception.baselines.regions import RememberedRegions, box_iou, choose_least_score, region_note
 from perception.baselines.roi import region_of
 from perception.baselines.roi_network import RoiNetwork
@@ -93,6 +93,10 @@ def test_notes_say_whether_the_order_is_the_papers():
     order, *_ = table_notes(6, IN_ORDER | scores_of(classical=35))
     assert "not the paper's order: YOLOv5 + Gabor + Canny + Hough should lead Gabor + Canny + Hough" in order
     assert "5.00 points behind" in order
+    assert "differ" not in order
+    spread = scores_of(classical=20, roi_classical=[15, 22, 20.9])
+    assert order_note(6, spread).endswith("0.70 points behind, less than their seeds differ.")
+    assert "differ" not in order_note(6, scores_of(classical=20, roi_classical=[18, 19]))
     assert "not larger" in table_notes(6, IN_ORDER | scores_of(stairnet=(50, 40, 58)))[-1]
 
 
