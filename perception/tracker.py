@@ -226,13 +226,15 @@ class StairTracker:
         known = [nosing.riser_m for nosing in nosings if nosing.riser_m is not None]
         if camera.ground_m is None or not known:
             return
-        lowest_in_view = nosings[0].height_m - (nosings[0].riser_m or 0.0 if self._direction > 0 else 0.0)
-        rise = (lowest_in_view - camera.ground_m) * self._direction
+        nearest, ascending = nosings[0], self._direction > 0
+        # Of what is in view, what lies next to the ground: the foot of the nearest riser, or its nosing.
+        next_to_ground = nearest.height_m - (nearest.riser_m or 0.0) * ascending
+        rise = (next_to_ground - camera.ground_m) * self._direction
         count = round(rise / known[0])
         if count < 1:
             return
         riser, std = rise / count, FELT_RISE_STD_M if count == 1 else SHARED_RISE_STD_M
-        if self._direction > 0 and nosings[0].riser_m is None:
+        if ascending and nearest.riser_m is None:
             self._map.riser.update(0, riser, std)
             count -= 1
         self._map.extend_behind(min(count, MAX_HIDDEN_EDGES), riser, std)
