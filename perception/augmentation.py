@@ -1,21 +1,27 @@
-"""Random changes of training frames: mirror, shift, photometric, depth, and loss of a whole modality.
+"""Random changes of training frames: mirror, shift, turn, photometric, depth, and loss of a whole modality.
 
-The paper mirrors only. The rest keeps either branch able to carry the scene alone: black colour is a night without
-any light, missing depth a camera that stares at glass or at the sun.
+The paper mirrors only. The rest makes each branch suffice where the other says nothing or lies: black colour is a night
+without any light, missing depth a camera that stares at glass or at the sun, corrupted depth any sensor but the one
+that drew the set (`perception.depth_corruption`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from perception.dataset import Sample
+from perception.depth_corruption import corrupt_depth, meaningless_depth
 
-MAX_HOLES = 4
-MAX_HOLE_PX = 96
 SPECKLE_LEVELS = (2.0, 12.0)  # standard deviation of added colour noise, grey levels
+BLUR_PX = (0.5, 2.5)  # standard deviation of defocus, pixels
+SMEAR_PX = (3, 15)  # length of motion blur, pixels
+JPEG_QUALITIES = (15, 80)
+DARK_LEVEL = 10.0  # mean of 0-255 below which colour alone shows hardly a line
+KEPT_IN_THE_DARK = 0.7  # share of such frames that keep their depth all the same
 
 
 @dataclass(frozen=True)
@@ -26,12 +32,17 @@ class AugmentationConfig:
         mirror: probability (0.5 in the paper).
         shift: probability of moving the image by up to shift_px pixels, with zeros behind it.
         shift_px: largest shift right and down, pixels: one cell each way makes every place in a cell equally likely.
+        turn: probability of turning and scaling the image about its middle.
+        turn_deg: standard deviation of the turn, degrees.
+        turn_scale: smallest and largest scale, drawn evenly in the logarithm.
         photometric: probability of changed brightness, contrast, gamma and colour balance.
         grey: probability of losing all colour.
         noise: probability of added colour noise.
-        depth_scale: standard deviation of a relative depth error of the whole frame.
-        depth_holes: probability of a few rectangles without depth.
-        drop_colour, drop_depth: probability of a black image and of no depth at all; never both.
+        blur, smear, jpeg: probabilities of defocus, of motion blur and of a strongly compressed image.
+        matched_depth: share of the frames that take a depth image matched from an infrared pair, where the set has one.
+        corrupt_depth: share of the frames whose depth `perception.depth_corruption.corrupt_depth` changes.
+        drop_colour, drop_depth, other_depth, meaningless_depth: shares of the frames with a black image, without depth,
+            with another frame's depth, and with depth that says nothing; no two of them together.
 
     Raises:
         ValueError: a value is out of range.
@@ -40,52 +51,84 @@ class AugmentationConfig:
     mirror: float = 0.5
     shift: float = 0.5
     shift_px: tuple[int, int] = (32, 16)
+    turn: float = 0.3
+    turn_deg: float = 5.0
+    turn_scale: tuple[float, float] = (0.8, 1.3)
     photometric: float = 0.5
-    grey: float = 0.05
-    noise: float = 0.15
-    depth_scale: float = 0.01
-    depth_holes: float = 0.15
-    drop_colour: float = 0.08
-    drop_depth: float = 0.08
+    grey: float = 0.1
+    noise: float = 0.2
+    blur: float = 0.15
+    smear: float = 0.1
+    jpeg: float = 0.25
+    matched_depth: float = 0.6
+    corrupt_depth: float = 0.3
+    drop_colour: float = 0.06
+    drop_depth: float = 0.2
+    other_depth: float = 0.05
+    meaningless_depth: float = 0.04
 
     def __post_init__(self) -> None:
-        names = ("mirror", "shift", "photometric", "grey", "noise", "depth_holes", "drop_colour", "drop_depth")
-        for name in names:
+        for name in _PROBABILITIES:
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be a probability")
-        if self.drop_colour + self.drop_depth > 1.0:
-            raise ValueError("drop_colour and drop_depth must not sum to more than 1")
-        if not 0.0 <= self.depth_scale < 0.5:
-            raise ValueError(f"depth_scale={self.depth_scale!r} must be in [0, 0.5)")
+        if sum(getattr(self, name) for name in _EXCLUSIVE) > 1.0 + 1e-9:
+            raise ValueError(f"{', '.join(_EXCLUSIVE)} must not sum to more than 1")
+        if not 0.0 <= self.turn_deg <= 45.0:
+            raise ValueError(f"turn_deg={self.turn_deg!r} must be in [0, 45]")
+        low, high = self.turn_scale
+        if not 0.25 <= low <= high <= 4.0:
+            raise ValueError(f"turn_scale={self.turn_scale!r} must rise within [0.25, 4]")
 
     @classmethod
     def paper(cls) -> AugmentationConfig:
         """The random mirror alone."""
-        return cls(
-            shift=0.0,
-            photometric=0.0,
-            grey=0.0,
-            noise=0.0,
-            depth_scale=0.0,
-            depth_holes=0.0,
-            drop_colour=0.0,
-            drop_depth=0.0,
-        )
+        return cls(**dict.fromkeys((name for name in _PROBABILITIES if name != "mirror"), 0.0))
 
 
-def augment(sample: Sample, config: AugmentationConfig, rng: np.random.Generator) -> Sample:
-    """A randomly changed copy; the labels follow the image."""
+_EXCLUSIVE = ("drop_colour", "drop_depth", "other_depth", "meaningless_depth")
+_PROBABILITIES = (
+    "mirror", "shift", "turn", "photometric", "grey", "noise", "blur", "smear", "jpeg", "matched_depth", "corrupt_depth",
+    *_EXCLUSIVE,
+)  # fmt: skip
+
+
+def augment(
+    sample: Sample,
+    config: AugmentationConfig,
+    rng: np.random.Generator,
+    draw_other_depth: Callable[[], np.ndarray] | None = None,
+) -> Sample:
+    """A randomly changed copy; the labels follow the image.
+
+    Args:
+        sample: the frame.
+        config: what to do how often.
+        rng: the source of all chance.
+        draw_other_depth: another frame's depth, for `other_depth`; None leaves the frame its own.
+    """
     if rng.random() < config.mirror:
         sample = mirrored(sample)
+    if rng.random() < config.turn:
+        low, high = np.log(config.turn_scale)
+        sample = turned(sample, float(rng.normal(0.0, config.turn_deg)), float(np.exp(rng.uniform(low, high))))
     if rng.random() < config.shift:
         right, down = (int(rng.integers(-limit, limit + 1)) for limit in config.shift_px)
         sample = shifted(sample, right, down)
-    rgb, depth = _change_colour(sample.rgb, config, rng), _change_depth(sample.depth_m, config, rng)
-    draw = rng.random()
-    if draw < config.drop_colour:
+    rgb, depth = _change_colour(sample.rgb, config, rng), sample.depth_m
+    if rng.random() < config.corrupt_depth:
+        depth = corrupt_depth(depth, rng)
+    fates = np.cumsum([getattr(config, name) for name in _EXCLUSIVE])
+    fate = int(np.searchsorted(fates, rng.random(), side="right"))
+    if fate in (1, 2, 3) and rgb.mean() < DARK_LEVEL and rng.random() < KEPT_IN_THE_DARK:
+        fate = len(fates)  # neither colour nor depth would say anything
+    if fate == 0:
         rgb = np.zeros_like(rgb)
-    elif draw < config.drop_colour + config.drop_depth:
+    elif fate == 1:
         depth = np.zeros_like(depth)
+    elif fate == 2 and draw_other_depth is not None:
+        depth = draw_other_depth()
+    elif fate == 3:
+        depth = meaningless_depth(depth.shape, rng)
     return replace(sample, rgb=rgb, depth_m=depth)
 
 
@@ -109,6 +152,21 @@ def shifted(sample: Sample, right: int, down: int) -> Sample:
     )
 
 
+def turned(sample: Sample, degrees: float, scale: float) -> Sample:
+    """Turned counter-clockwise about the middle and scaled; what comes in is black and without reading."""
+    height, width = sample.depth_m.shape
+    matrix = cv2.getRotationMatrix2D((width / 2 - 0.5, height / 2 - 0.5), degrees, scale)
+    size = (width, height)
+    corner = matrix[:, :2] @ [-0.5, -0.5] + matrix[:, 2] + 0.5  # labels count from the corner, pixels from their centre
+    ends = sample.lines.reshape(-1, 2, 2) @ matrix[:, :2].T + corner
+    return replace(
+        sample,
+        rgb=cv2.warpAffine(sample.rgb, matrix, size, flags=cv2.INTER_LINEAR),
+        depth_m=cv2.warpAffine(sample.depth_m, matrix, size, flags=cv2.INTER_NEAREST),
+        lines=ends.reshape(-1, 4),
+    )
+
+
 def _moved(image: np.ndarray, right: int, down: int) -> np.ndarray:
     height, width = image.shape[:2]
     out = np.zeros_like(image)
@@ -127,17 +185,25 @@ def _change_colour(rgb: np.ndarray, config: AugmentationConfig, rng: np.random.G
         rgb = cv2.LUT(rgb, table.astype(np.uint8)[None])
     if rng.random() < config.grey:
         rgb = cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    if rng.random() < config.blur:
+        rgb = cv2.GaussianBlur(rgb, (0, 0), rng.uniform(*BLUR_PX))
+    if rng.random() < config.smear:
+        rgb = cv2.filter2D(rgb, -1, _smear_kernel(rng))
     if rng.random() < config.noise:
         noise = rng.standard_normal(rgb.shape, dtype=np.float32) * np.float32(rng.uniform(*SPECKLE_LEVELS))
         rgb = np.clip(rgb + noise, 0, 255).astype(np.uint8)
+    if rng.random() < config.jpeg:
+        _, data = cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*JPEG_QUALITIES))])
+        rgb = cv2.imdecode(data, cv2.IMREAD_COLOR)
     return rgb
 
 
-def _change_depth(depth_m: np.ndarray, config: AugmentationConfig, rng: np.random.Generator) -> np.ndarray:
-    depth = depth_m * np.float32(1.0 + config.depth_scale * rng.standard_normal())
-    if rng.random() < config.depth_holes:
-        for _ in range(int(rng.integers(1, MAX_HOLES + 1))):
-            height, width = rng.integers(4, MAX_HOLE_PX, 2)
-            row, column = rng.integers(0, depth.shape[0]), rng.integers(0, depth.shape[1])
-            depth[row : row + height, column : column + width] = 0.0
-    return depth
+def _smear_kernel(rng: np.random.Generator) -> np.ndarray:
+    """Weights of a straight smear in a random direction."""
+    length, angle = int(rng.integers(*SMEAR_PX)), rng.uniform(0.0, np.pi)
+    kernel = np.zeros((length, length), np.float32)
+    middle = (length - 1) / 2.0
+    step = np.array([np.cos(angle), np.sin(angle)]) * middle
+    start, end = (tuple(int(round(part)) for part in middle + sign * step) for sign in (-1.0, 1.0))
+    cv2.line(kernel, start, end, 1.0)
+    return kernel / kernel.sum()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from perception.preprocess import IMAGE_SIZE, NEAREST_DEPTH_M, colour_input, depth_input
+from perception.preprocess import IMAGE_SIZE, NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.weights_io import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
 from stair_env.stairs import check_choice
 
@@ -147,7 +147,7 @@ class OpenVinoBackend:
         check_batch(rgb, depth_m)
         if len(rgb) == 0:
             return empty_answer()
-        depth = np.ascontiguousarray(depth_m, dtype=np.float32)[:, None]
+        depth = np.stack([close_small_holes(frame) for frame in depth_m])[:, None]
         cls, loc = np.empty((len(rgb), 1, 32, 16), np.float32), np.empty((len(rgb), 8, 32, 16), np.float32)
 
         def keep(request: Any, index: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +83,13 @@ class StairDataset:
                 if not twin.is_file():
                     raise DatasetError(f"{image}: its twin {twin} is missing")
 
-    def _depth_path(self, image: Path) -> Path:
-        return self.folder / "depthes" / f"{image.stem}.png"
+    def _depth_path(self, image: Path, folder: str = "depthes") -> Path:
+        return self.folder / folder / f"{image.stem}.png"
+
+    @cached_property
+    def matched_folders(self) -> tuple[str, ...]:
+        """Folders beside `depthes` with depth matched from infrared pairs of the same frames."""
+        return tuple(sorted(path.name for path in self.folder.glob("depthes_*") if path.is_dir()))
 
     def _label_path(self, image: Path) -> Path:
         return self.folder / "labels" / f"{image.stem}.txt"
@@ -92,7 +98,30 @@ class StairDataset:
         return len(self.images)
 
     def __getitem__(self, index: int) -> Sample:
+        """Read one frame; see `frame`."""
+        return self.frame(index)
+
+    def depth(self, index: int, folder: str = "depthes") -> np.ndarray:
+        """float32 (512, 512) metres of one frame, 0 = no reading.
+
+        Args:
+            index: of the frame.
+            folder: "depthes", or one of `matched_folders`.
+
+        Raises:
+            DatasetError: the file cannot be read or has a wrong size.
+        """
+        path = self._depth_path(self.images[index], folder)
+        depth = read_depth(path, grey_level_m=self._grey_level_m)
+        _check_size(depth, path)
+        return depth
+
+    def frame(self, index: int, depth_folder: str = "depthes") -> Sample:
         """Read one frame.
+
+        Args:
+            index: of the frame.
+            depth_folder: see `depth`.
 
         Raises:
             DatasetError: a file cannot be read or has a wrong size; LabelError: a malformed label. Both name the file.
@@ -101,17 +130,18 @@ class StairDataset:
         image = self.images[index]
         kinds, lines = read_label_file(self._label_path(image))
         rgb = read_colour(image)
-        depth = read_depth(self._depth_path(image), grey_level_m=self._grey_level_m)
-        for array, path in ((rgb, image), (depth, self._depth_path(image))):
-            if array.shape[:2] != (IMAGE_SIZE, IMAGE_SIZE):
-                raise DatasetError(
-                    f"{path}: {array.shape[1]}x{array.shape[0]} pixels, must be {IMAGE_SIZE}x{IMAGE_SIZE}"
-                )
+        _check_size(rgb, image)
+        depth = self.depth(index, depth_folder)
         return Sample(rgb, depth, kinds, order_left_first(lines), read_side_car(image.with_suffix(".json")))
 
     def side_car(self, index: int) -> dict[str, Any]:
         """The side-car alone, without reading images; empty when there is none."""
         return read_side_car(self.images[index].with_suffix(".json"))
+
+
+def _check_size(array: np.ndarray, path: Path) -> None:
+    if array.shape[:2] != (IMAGE_SIZE, IMAGE_SIZE):
+        raise DatasetError(f"{path}: {array.shape[1]}x{array.shape[0]} pixels, must be {IMAGE_SIZE}x{IMAGE_SIZE}")
 
 
 def read_colour(path: str | Path) -> np.ndarray:

@@ -88,7 +88,7 @@ def write_missing(plan: DatasetPlan, workers: int = 1) -> Iterator[tuple[str, st
     """
     _claim(plan)
     for split in plan.frames:
-        for folder in (IMAGES, DEPTHS, LABELS):
+        for folder in (IMAGES, DEPTHS, LABELS, *stereo_folders(plan.config.stereo_variants)):
             (plan.root / split / folder).mkdir(parents=True, exist_ok=True)
     jobs = [(plan, split, index) for split, index in missing_frames(plan)]
     if workers == 1:
@@ -140,12 +140,18 @@ def _write_job(job: tuple[DatasetPlan, str, int]) -> tuple[str, str]:
 def write_frame(folder: Path, stem: str, frame: LabelledFrame) -> None:
     """Write one frame into a split's folder; the label comes last, so a frame with a label is complete."""
     bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
-    millimetres = np.clip(np.rint(frame.depth_m / DEPTH_UNIT_M), 0, 65535).astype(np.uint16)
     _replace(folder / IMAGES / f"{stem}.jpg", _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
-    png = _encoded(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
-    _replace(folder / DEPTHS / f"{stem}.png", png)
+    for name, depth_m in zip((DEPTHS, *stereo_folders(len(frame.stereo_m))), (frame.depth_m, *frame.stereo_m)):
+        millimetres = np.clip(np.rint(depth_m / DEPTH_UNIT_M), 0, 65535).astype(np.uint16)
+        png = _encoded(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
+        _replace(folder / name / f"{stem}.png", png)
     _replace(folder / IMAGES / f"{stem}.json", json.dumps(frame.side_car()).encode())
     _replace(folder / LABELS / f"{stem}.txt", format_labels(frame.kinds, frame.lines).encode())
+
+
+def stereo_folders(variants: int) -> tuple[str, ...]:
+    """Names of the folders that hold depth matched from infrared pairs, beside `depthes`."""
+    return tuple(f"{DEPTHS}_stereo{index}" for index in range(1, variants + 1))
 
 
 def _encoded(kind: str, image: np.ndarray, options: list[int]) -> bytes:

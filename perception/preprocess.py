@@ -14,6 +14,8 @@ from stair_env.camera.intrinsics import letterbox_padding
 
 IMAGE_SIZE = 512
 NEAREST_DEPTH_M = 0.35  # maps to the largest input value; a D435i on a dog sees its own floor from about 0.4 m
+HOLE_NEIGHBOURS = 5  # of 8 that must have a reading: a straight rim of a large hole, with 3, stays where it is
+HOLE_PASSES = 3
 
 
 def letterbox(rgb: np.ndarray, depth_m: np.ndarray, size: int = IMAGE_SIZE) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +86,41 @@ def colour_input(rgb: np.ndarray) -> np.ndarray:
     return scaled
 
 
-def depth_input(depth_m: np.ndarray) -> np.ndarray:
-    """(B, H, W) metres, 0 = no reading -> (B, 1, H, W) float32 in -1..1; no reading looks like infinitely far."""
+def close_small_holes(depth_m: np.ndarray) -> np.ndarray:
+    """Fill single missing readings with the mean of their neighbours; larger holes stay.
+
+    A stereo matcher leaves per cents of its readings out one by one. To the network each would be a spike from here to
+    infinity. A pixel is filled when most of its eight neighbours have a reading, and that is done a few times over.
+
+    Args:
+        depth_m: (H, W) metres, 0 = no reading; NaN counts as none.
+
+    Returns:
+        float32 (H, W); the argument itself where nothing is to fill.
+    """
     depth = np.asarray(depth_m, dtype=np.float32)
+    valid = depth > 0.0
+    if valid.all():
+        return depth
+    for _ in range(HOLE_PASSES):
+        count = cv2.boxFilter(valid.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        fill = (count >= HOLE_NEIGHBOURS) & ~valid
+        if not fill.any():
+            break
+        seen = np.where(valid, depth, np.float32(0.0))
+        total = cv2.boxFilter(seen, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        depth = np.where(fill, total / np.maximum(count, 1), depth).astype(np.float32)
+        valid = valid | fill
+    return depth
+
+
+def depth_input(depth_m: np.ndarray) -> np.ndarray:
+    """(B, H, W) metres, 0 = no reading -> (B, 1, H, W) float32 in -1..1; no reading looks like infinitely far.
+
+    Small holes are closed before (`close_small_holes`).
+    """
+    frames = np.asarray(depth_m, dtype=np.float32)
+    depth = np.stack([close_small_holes(frame) for frame in frames]) if len(frames) else frames
     near = np.maximum(depth, np.float32(NEAREST_DEPTH_M))
     np.divide(np.float32(2.0 * NEAREST_DEPTH_M), near, out=near)
     near -= np.float32(1.0)

@@ -18,7 +18,8 @@ from stair_env.camera.colour_error import ColourErrorModel
 from stair_env.camera.depth_error import DepthErrorModel
 from stair_env.camera.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.camera.labels import MIN_GAP_PX, MIN_LENGTH_PX, LineLabel, visible_edges
-from stair_env.camera.renderers import make_renderer
+from stair_env.camera.renderers import Renderer, make_renderer
+from stair_env.camera.stereo import StereoConfig, StereoDepth
 from stair_env.sampling import SceneSampler, sample_camera_pose
 from stair_env.scene_spec import Scene, SceneSpec
 from stair_env.stairs import check_choice, check_range
@@ -40,6 +41,8 @@ class FrameConfig:
             the others are drawn in the mode's own size and scaled.
         robot_share: share of viewpoints on a robot's head; the others are hand-held.
         sensor_errors: whether depth and colour carry a D435i's errors.
+        stereo_variants: how many further depth images a frame gets, each matched from an infrared pair of a random
+            unit with random settings (`StereoConfig.random`).
 
     Raises:
         SpecError: a share is negative or a mode unknown (a ValueError).
@@ -50,8 +53,10 @@ class FrameConfig:
     direct_share: float = 0.5
     robot_share: float = 0.5
     sensor_errors: bool = True
+    stereo_variants: int = 0
 
     def __post_init__(self) -> None:
+        check_range("stereo_variants", self.stereo_variants, 0, 9)
         check_range("robot_share", self.robot_share, 0.0, 1.0)
         check_range("direct_share", self.direct_share, 0.0, 1.0)
         for mode, share in self.mode_shares.items():
@@ -75,6 +80,7 @@ class LabelledFrame:
         gravity: (3,) accelerometer reading at rest, camera frame, m/s^2.
         camera_to_world: (4, 4).
         scene: what was drawn.
+        stereo_m: depth images like depth_m, matched from infrared pairs.
     """
 
     rgb: np.ndarray
@@ -87,6 +93,7 @@ class LabelledFrame:
     gravity: np.ndarray
     camera_to_world: np.ndarray
     scene: SceneSpec
+    stereo_m: tuple[np.ndarray, ...] = ()
 
     def side_car(self) -> dict[str, Any]:
         """What is written beside the image: intrinsics and gravity for `stair-env perceive`, and the truth."""
@@ -124,7 +131,15 @@ def draw_frame(rng: np.random.Generator, config: FrameConfig, threads: int | Non
     intrinsics = D435I_COLOR_MODES[chosen]
     if rng.random() < config.direct_share:
         intrinsics = intrinsics.scaled(IMAGE_SIZE, round(intrinsics.height * IMAGE_SIZE / intrinsics.width))
-    return photograph(scene, pose, intrinsics, rng, sensor_errors=config.sensor_errors, threads=threads)
+    return photograph(
+        scene,
+        pose,
+        intrinsics,
+        rng,
+        sensor_errors=config.sensor_errors,
+        stereo_variants=config.stereo_variants,
+        threads=threads,
+    )
 
 
 def photograph(
@@ -134,6 +149,7 @@ def photograph(
     rng: np.random.Generator,
     *,
     sensor_errors: bool = True,
+    stereo_variants: int = 0,
     threads: int | None = None,
 ) -> LabelledFrame:
     """Draw one scene from one viewpoint and label it.
@@ -144,11 +160,16 @@ def photograph(
         intrinsics: of the camera; the result is letterboxed from this image.
         rng: draws the sensor's errors.
         sensor_errors: whether to apply them.
+        stereo_variants: see `FrameConfig`.
         threads: of the ray caster.
     """
     renderer = make_renderer("raycast", scene, threads=threads)
     try:
         frame = renderer.render(intrinsics, camera_to_world)
+        rgb, depth_m = frame.rgb, frame.depth_m
+        if sensor_errors:
+            rgb, depth_m = corrupt(rgb, depth_m, intrinsics, rng)
+        stereo = [match_depth(renderer, camera_to_world, intrinsics, rng) for _ in range(stereo_variants)]
     finally:
         renderer.close()
     scale = max(intrinsics.width, intrinsics.height) / IMAGE_SIZE  # camera pixels per pixel of the result
@@ -160,13 +181,10 @@ def photograph(
         min_length_px=MIN_LENGTH_PX * scale,
         min_gap_px=MIN_GAP_PX * scale,
     )
-    rgb, depth_m = frame.rgb, frame.depth_m
-    if sensor_errors:
-        rgb, depth_m = corrupt(rgb, depth_m, intrinsics, rng)
-    rgb, depth_m = letterbox(rgb, depth_m)
+    square_rgb, depth_m = letterbox(rgb, depth_m)
     lines = np.array([(label.x1, label.y1, label.x2, label.y2) for label in labels]).reshape(-1, 4)
     return LabelledFrame(
-        rgb=rgb,
+        rgb=square_rgb,
         depth_m=depth_m,
         kinds=np.array([label.class_id for label in labels], dtype=np.int64),
         lines=letterbox_lines(lines, intrinsics.width, intrinsics.height),
@@ -176,7 +194,17 @@ def photograph(
         gravity=GRAVITY * camera_to_world[2, :3],
         camera_to_world=camera_to_world,
         scene=scene.spec,
+        stereo_m=tuple(letterbox(rgb, matched)[1] for matched in stereo),
     )
+
+
+def match_depth(
+    renderer: Renderer, camera_to_world: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+) -> np.ndarray:
+    """Depth of a random stereo camera, aligned to colour: float32 (H, W), metres, 0 = no reading."""
+    sensor = StereoDepth(StereoConfig.random(rng))
+    sensor.reset(rng)
+    return sensor.measure(renderer, camera_to_world, intrinsics, rng)
 
 
 def corrupt(

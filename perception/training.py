@@ -12,7 +12,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from perception.augmentation import AugmentationConfig, augment
 from perception.dataset import Sample, StairDataset
+from perception.depth_corruption import corrupt_depth
 from perception.labels import encode_grid
 from perception.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.metrics import DetectionCounts, count_cells
@@ -122,7 +123,21 @@ PRESETS: dict[str, TrainingPreset] = {
         positive_weight=1.8,
         precision="bf16-mixed",
     ),
+    # From weights that know one sensor's depth to any depth (`--start-from`): full size only, statistics as they came.
+    "robust": TrainingPreset(
+        epochs=30,
+        frames_per_epoch=2000,
+        batch_size=8,
+        learning_rate=1e-3,
+        schedule="cosine",
+        warmup_epochs=0.3,
+        frozen_statistics=True,
+        location_loss="l1",
+        positive_weight=1.8,
+        precision="bf16-mixed",
+    ),
 }
+CONDITIONS = ("model", "matched", "colour", "corrupted")  # depth as drawn, matched, none at all, corrupted
 
 
 def halved(sample: Sample) -> Sample:
@@ -152,6 +167,7 @@ class GridFrames(Dataset[Batch]):
         seed: with the epoch and the index, seeds each frame's augmentation.
         epoch: see seed.
         encode: makes input and targets of a frame.
+        condition: which depth a frame has without augmentation, one of `CONDITIONS`.
     """
 
     def __init__(
@@ -162,20 +178,46 @@ class GridFrames(Dataset[Batch]):
         seed: int = 0,
         epoch: int = 0,
         encode: Encoder = as_arrays,
+        condition: str = "model",
     ) -> None:
         self._frames, self._augmentation, self._size = frames, augmentation, size
-        self._seed, self._epoch, self._encode = seed, epoch, encode
+        self._seed, self._epoch, self._encode, self._condition = seed, epoch, encode, condition
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> Batch:
-        sample = self._frames[index]
-        if self._augmentation is not None:
+        if self._augmentation is None:
+            sample = self._conditioned(index)
+        else:
             rng = np.random.default_rng([self._seed, self._epoch, index])
-            sample = augment(sample, self._augmentation, rng)
+            sample = self._frames.frame(index, self._depth_folder(rng))
+            sample = augment(sample, self._augmentation, rng, lambda: self._other_depth(rng))
         arrays = self._encode(halved(sample) if self._size < FULL_SIZE else sample)
         return tuple(torch.from_numpy(array) for array in arrays)
+
+
+    def _conditioned(self, index: int) -> Sample:
+        """A frame for validation."""
+        if self._condition == "matched":
+            return self._frames.frame(index, self._frames.matched_folders[0])
+        sample = self._frames[index]
+        if self._condition == "colour":
+            return replace(sample, depth_m=np.zeros_like(sample.depth_m))
+        if self._condition == "corrupted":
+            return replace(sample, depth_m=corrupt_depth(sample.depth_m, np.random.default_rng(index)))
+        return sample
+
+    def _depth_folder(self, rng: np.random.Generator) -> str:
+        """Which depth image of a frame is taken."""
+        folders, draw = self._frames.matched_folders, rng.random()
+        if not folders or self._augmentation is None or draw >= self._augmentation.matched_depth:
+            return "depthes"
+        return str(rng.choice(list(folders)))
+
+    def _other_depth(self, rng: np.random.Generator) -> np.ndarray:
+        """The depth of another frame."""
+        return self._frames.depth(int(rng.integers(len(self._frames))), self._depth_folder(rng))
 
 
 class EpochSampler(Sampler[int]):
@@ -202,6 +244,8 @@ class FrameModule(L.LightningDataModule):
         workers: processes that read frames; 0 reads in the training process.
         validation_frames: at most so many of `val` after each epoch; None for all.
         encode: makes a network's input and targets of a frame; StairNetV2's by default.
+        conditions: depth of the validation frames, of `CONDITIONS`; each is a loader of its own. "matched" is left out
+            where the set has no matched depth.
     """
 
     def __init__(
@@ -212,11 +256,13 @@ class FrameModule(L.LightningDataModule):
         workers: int = 0,
         validation_frames: int | None = 200,
         encode: Encoder = as_arrays,
+        conditions: tuple[str, ...] = ("model",),
     ) -> None:
         super().__init__()
         self._preset, self._seed, self._workers, self._encode = preset, seed, workers, encode
         self._train, self._val = StairDataset(root, "train"), StairDataset(root, "val")
         self._validation_frames = validation_frames
+        self.conditions = tuple(c for c in conditions if c != "matched" or self._val.matched_folders)
 
     def _size(self, epoch: int) -> int:
         return FULL_SIZE // 2 if self._preset.is_small(epoch) else FULL_SIZE
@@ -230,12 +276,15 @@ class FrameModule(L.LightningDataModule):
         sampler = EpochSampler(len(frames), preset.frames_per_epoch, self._seed, epoch)
         return DataLoader(frames, batch, sampler=sampler, num_workers=self._workers, drop_last=len(sampler) > batch)
 
-    def val_dataloader(self) -> DataLoader[Batch]:
-        """The same frames after every epoch, spread evenly over the set, at the last epoch's size."""
-        frames = GridFrames(self._val, None, self._size(self._preset.epochs - 1), encode=self._encode)
-        count = min(self._validation_frames or len(frames), len(frames))
-        chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
-        return DataLoader(frames, 8, sampler=chosen, num_workers=self._workers)
+    def val_dataloader(self) -> list[DataLoader[Batch]]:
+        """The same frames after every epoch, spread evenly over the set, at the last epoch's size; one a condition."""
+        size, loaders = self._size(self._preset.epochs - 1), []
+        for condition in self.conditions:
+            frames = GridFrames(self._val, None, size, encode=self._encode, condition=condition)
+            count = min(self._validation_frames or len(frames), len(frames))
+            chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
+            loaders.append(DataLoader(frames, 8, sampler=chosen, num_workers=self._workers))
+        return loaders
 
 
 class DetectorTraining(L.LightningModule):
@@ -288,7 +337,7 @@ class StairNetTraining(DetectorTraining):
         network = StairNetV2(width, fusion_stage).use_dense_convolutions(not torch.cuda.is_available())
         super().__init__(network, preset)
         self.loss_weights = LossWeights() if preset.dynamic_weights else LossWeights.fixed()
-        self._counts = DetectionCounts()
+        self._counts: dict[int, DetectionCounts] = {}
         self._errors = np.zeros(2)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -305,19 +354,23 @@ class StairNetTraining(DetectorTraining):
 
     def on_validation_epoch_start(self) -> None:
         """Count from zero."""
-        self._counts, self._errors = DetectionCounts(), np.zeros(2)
+        self._counts, self._errors = {}, np.zeros(2)
 
-    def validation_step(self, batch: Batch, batch_index: int) -> None:
+    def validation_step(self, batch: Batch, batch_index: int, dataloader_idx: int = 0) -> None:
         """Equations 3, 4 and 10 over a batch."""
         rgb, depth, cls, loc = batch
         score, place = (output.float() for output in self.network(rgb, depth))
         self._errors += location_errors(place, GridTargets(cls, loc))
         predicted, true = (x.movedim(1, -1).cpu().numpy() for x in (place, loc))
-        self._counts += count_cells(score[:, 0].cpu().numpy(), predicted, cls[:, 0].cpu().numpy(), true)
+        counts = count_cells(score[:, 0].cpu().numpy(), predicted, cls[:, 0].cpu().numpy(), true)
+        self._counts[dataloader_idx] = self._counts.get(dataloader_idx, DetectionCounts()) + counts
 
     def on_validation_epoch_end(self) -> None:
         """Log the metrics, and shift the loss weights when a training epoch has gone before."""
-        counts = self._counts
+        counts = sum(self._counts.values(), DetectionCounts())
+        conditions = getattr(self.trainer.datamodule, "conditions", ())  # type: ignore[attr-defined]
+        if len(conditions) > 1:
+            self.log_dict({f"val/iou_{name}": self._counts[i].iou for i, name in enumerate(conditions)})
         self.log_dict({"val/accuracy": counts.accuracy, "val/recall": counts.recall})
         self.log("val/iou", counts.iou, prog_bar=True)
         self.log_dict({"weights/x": self.loss_weights.x, "weights/y": self.loss_weights.y})

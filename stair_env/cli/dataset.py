@@ -29,6 +29,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--lighting", choices=("day", "night", "random"), default="random", help="light of the scenes (%(default)s)"
     )
     parser.add_argument("--ideal", action="store_true", help="leave out the errors of a D435i")
+    parser.add_argument(
+        "--stereo", type=int, default=0, metavar="N", help="depth images more a frame, matched from infrared pairs of "
+        "random stereo cameras, in folders depthes_stereo1 and so on (%(default)s)",
+    )
     parser.add_argument("--workers", type=positive_int, default=1, help="processes (%(default)s)")
     add_common_arguments(parser)
 
@@ -41,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from stair_env.sampling import SceneSampler
 
     sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting)
-    config = FrameConfig(sampler=sampler, sensor_errors=not args.ideal)
+    config = FrameConfig(sampler=sampler, sensor_errors=not args.ideal, stereo_variants=args.stereo)
     plan = DatasetPlan(
         args.output,
         {"train": args.train // 2, "val": args.val // 2, "test": args.test // 2},

@@ -10,7 +10,7 @@ from typing import Any
 
 from stair_env.cli.common import add_common_arguments, limit_threads, positive_float, positive_int, share, write_json
 
-PRESET_NAMES = ("fast", "paper")
+PRESET_NAMES = ("fast", "paper", "robust")
 WIDTH_NAMES = ("1.0", "0.5", "0.25")
 
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     import lightning
     import torch
 
-    from perception.training import PRESETS, FrameModule, StairNetTraining, train
+    from perception.training import CONDITIONS, PRESETS, FrameModule, StairNetTraining, train
     from perception.weights_io import load_starting_point, save_weights
     from stair_env.provenance import provenance
 
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         augmentation = PRESETS[args.preset].augmentation
         chosen["augmentation"] = dataclasses.replace(augmentation, drop_depth=args.drop_depth)
     preset = dataclasses.replace(PRESETS[args.preset], **chosen)
-    frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers)
+    frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers, validation_frames=100, conditions=CONDITIONS)
     module = StairNetTraining(float(args.width), preset, args.fusion_stage)
     if args.start_from:
         source = load_starting_point(args.start_from, float(args.width), args.fusion_stage, args.seed)
