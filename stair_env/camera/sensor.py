@@ -16,10 +16,12 @@ from stair_env.camera.depth_error import DepthErrorConfig, DepthErrorModel
 from stair_env.camera.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.camera.renderers.base import Renderer
 from stair_env.camera.renderers.factory import RENDERERS
+from stair_env.camera.stereo import StereoConfig, StereoDepth
 from stair_env.scene import Shape
 from stair_env.stairs import SpecError, check_choice, check_range
 
 PRESETS: tuple[str, ...] = ("d435i", "ideal")
+DEPTH_SOURCES: tuple[str, ...] = ("model", "stereo")
 CAMERA_MODES: tuple[str, ...] = tuple(D435I_COLOR_MODES)
 MovingShapes = Sequence[Shape] | Callable[[], Sequence[Shape]]
 
@@ -38,7 +40,10 @@ class CameraConfig:
         rate_hz: frames per second (10 to 30 on robots; the device reaches 90).
         latency_s: from capture until the frame is available (80 to 140 ms on robots).
         latency_jitter_s: each frame's latency is drawn evenly within plus and minus this.
-        depth_error: errors of the depth.
+        depth: "model" applies `depth_error` to exact depth and is fast; "stereo" renders the infrared pair and matches it
+            as `stereo` says, which is what real depth looks like and takes ten times as long.
+        depth_error: errors of the modelled depth.
+        stereo: the matched depth's camera.
         colour_error: errors of the colour image.
         near_m, far_m: what the ideal camera sees outside reads 0, metres.
         mount_offset_m: camera from where its calibration says, in its own axes (right, down, forward), metres.
@@ -55,7 +60,9 @@ class CameraConfig:
     rate_hz: float = 15.0
     latency_s: float = 0.1
     latency_jitter_s: float = 0.0
+    depth: str = "model"
     depth_error: DepthErrorConfig = field(default_factory=DepthErrorConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
     colour_error: ColourErrorConfig = field(default_factory=ColourErrorConfig)
     near_m: float = 0.05
     far_m: float = 20.0
@@ -71,6 +78,9 @@ class CameraConfig:
         check_range("rate_hz", self.rate_hz, 0.1, 90.0)
         check_range("latency_s", self.latency_s, 0.0, 2.0)
         check_range("latency_jitter_s", self.latency_jitter_s, 0.0, float(self.latency_s))
+        check_choice("depth", self.depth, DEPTH_SOURCES)
+        if not isinstance(self.stereo, StereoConfig):
+            raise SpecError(f"stereo={self.stereo!r} must be a StereoConfig (from_dict takes an object)")
         if not isinstance(self.depth_error, DepthErrorConfig):
             raise SpecError(
                 f"depth_error={self.depth_error!r} must be a DepthErrorConfig (from_dict takes preset names)"
@@ -147,6 +157,8 @@ class CameraConfig:
             check_choice("camera field", name, ("preset", *(entry.name for entry in dataclasses.fields(cls))))
         if "depth_error" in fields:
             fields["depth_error"] = _error_config("depth_error", fields["depth_error"], DepthErrorConfig)
+        if isinstance(fields.get("stereo"), dict):
+            fields["stereo"] = StereoConfig.from_dict(fields["stereo"])
         if "colour_error" in fields:
             fields["colour_error"] = _error_config("colour_error", fields["colour_error"], ColourErrorConfig)
         return dataclasses.replace(base, **fields)
@@ -200,6 +212,7 @@ class RgbdCamera:
         self.config = config
         self.intrinsics = config.intrinsics
         self._depth_error = DepthErrorModel(config.depth_error)
+        self._stereo = StereoDepth(config.stereo) if config.depth == "stereo" else None
         self._colour_error = ColourErrorModel(config.colour_error)
         self.reset(rng, renderer)
 
@@ -215,6 +228,8 @@ class RgbdCamera:
         self._rng = np.random.default_rng(int(rng.integers(2**63)))
         self._depth_error.reset(self._rng)
         self._colour_error.reset(self._rng)
+        if self._stereo is not None:
+            self._stereo.reset(self._rng)
         self._mount_error = draw_mount_error(self.config, self._rng)
         self._waiting: deque[tuple[float, RgbdReading]] = deque()
         self._delivered: RgbdReading | None = None
@@ -280,11 +295,21 @@ class RgbdCamera:
         depth = self._in_range(np.asarray(frame.depth_m, dtype=np.float32))
         motion = self._pixel_motion(time_s, pose, frame.rgb, depth)
         colour_work = self._colour_error.begin(frame.rgb, self._rng, motion)
-        depth_work = self._depth_error.begin(depth, frame.rgb, self.intrinsics, self._rng)
+        depth_work = self._begin_depth(pose, moving, depth, frame.rgb)
         rgb = later(colour_work)
         reading = RgbdReading(depth_m=depth_work(), rgb=rgb(), captured_at_s=time_s, frame_index=self._captured)
         self._captured += 1
         return reading
+
+    def _begin_depth(
+        self, pose: np.ndarray, moving: Sequence[Shape], depth_m: np.ndarray, rgb: np.ndarray
+    ) -> Callable[[], np.ndarray]:
+        """Draw what the depth needs of chance; the function that is returned makes the image."""
+        stereo = self._stereo
+        if stereo is None:
+            return self._depth_error.begin(depth_m, rgb, self.intrinsics, self._rng)
+        left, right = stereo.infrared_pair(self._renderer, pose, self._rng, moving)
+        return lambda: stereo.depth_of_pair(left, right, self.intrinsics)
 
     def _in_range(self, depth_m: np.ndarray) -> np.ndarray:
         """Depth (H, W) float32 as far as the ideal camera sees it, a new array."""
