@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         augmentation = PRESETS[args.preset].augmentation
         chosen["augmentation"] = dataclasses.replace(augmentation, drop_depth=args.drop_depth)
     preset = dataclasses.replace(PRESETS[args.preset], **chosen)
-    frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers, validation_frames=100, conditions=CONDITIONS)
+    frames = FrameModule(args.data, preset, seed=args.seed, workers=args.workers, validation_frames=60, conditions=CONDITIONS)
     module = StairNetTraining(float(args.width), preset, args.fusion_stage)
     if args.start_from:
         source = load_starting_point(args.start_from, float(args.width), args.fusion_stage, args.seed)

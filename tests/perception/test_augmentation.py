@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from perception.augmentation import AugmentationConfig, augment, mirrored, shifted
+from perception.augmentation import AugmentationConfig, augment, mirrored, shifted, turned
 from perception.dataset import Sample
 
 
@@ -42,7 +42,7 @@ def test_what_comes_in_is_empty():
 
 
 def test_never_loses_both_modalities_and_loses_each_as_often_as_asked():
-    config = AugmentationConfig(drop_colour=0.3, drop_depth=0.3)
+    config = AugmentationConfig(drop_colour=0.3, drop_depth=0.3, corrupt_depth=0.0, other_depth=0.0)
     rng = np.random.default_rng(1)
     black = missing = 0
     small = Sample(frame().rgb[:64, :64], frame().depth_m[:64, :64], np.zeros(0), np.zeros((0, 4)))
@@ -57,7 +57,7 @@ def test_never_loses_both_modalities_and_loses_each_as_often_as_asked():
 
 def test_same_generator_same_result_and_the_original_stays():
     sample, untouched = frame(), frame()
-    config = AugmentationConfig(photometric=1.0, noise=1.0, depth_holes=1.0)
+    config = AugmentationConfig(photometric=1.0, noise=1.0, blur=1.0, smear=1.0, jpeg=1.0, corrupt_depth=1.0)
     a, b = (augment(sample, config, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(a.rgb, b.rgb)
     np.testing.assert_array_equal(a.depth_m, b.depth_m)
@@ -65,9 +65,39 @@ def test_same_generator_same_result_and_the_original_stays():
     np.testing.assert_array_equal(sample.depth_m, untouched.depth_m)
 
 
+@pytest.mark.parametrize(("degrees", "scale"), [(10.0, 1.0), (-7.0, 1.3), (3.0, 0.8)])
+def test_labels_turn_with_the_image(degrees, scale):
+    changed = turned(frame(), degrees, scale)
+    (x1, y1, x2, y2), white = changed.lines[0], (changed.rgb > 150).all(-1)
+    v, u = np.nonzero(white)
+    slope = (y2 - y1) / (x2 - x1)
+    off = (v + 0.5) - (y1 + slope * (u + 0.5 - x1))
+    assert np.abs(off).max() < 1.2 * max(scale, 1.0)  # the line is a pixel high
+    assert abs(off.mean()) < 0.2
+    assert abs(u.min() - x1) < 2.5 and abs(u.max() - x2) < 2.5
+
+
+def test_another_frames_depth_and_depth_that_says_nothing():
+    other = np.full((512, 512), 7.0, np.float32)
+    off = {"corrupt_depth": 0.0, "drop_colour": 0.0, "drop_depth": 0.0}
+    swapped = augment(frame(), AugmentationConfig(other_depth=1.0, meaningless_depth=0.0, **off),
+                      np.random.default_rng(0), lambda: other)  # fmt: skip
+    assert swapped.depth_m is other
+    vague = augment(frame(), AugmentationConfig(other_depth=0.0, meaningless_depth=1.0, **off), np.random.default_rng(0))
+    assert (vague.depth_m > 0.0).all()
+    assert not np.isin(vague.depth_m, (2.0, 3.0)).any()
+
+
+def test_in_the_dark_depth_is_mostly_kept():
+    dark = Sample(np.zeros((64, 64, 3), np.uint8), np.ones((64, 64), np.float32), np.zeros(0), np.zeros((0, 4)))
+    config = AugmentationConfig(drop_depth=0.9, drop_colour=0.0, other_depth=0.0, corrupt_depth=0.0, shift=0.0, turn=0.0)
+    kept = sum(augment(dark, config, np.random.default_rng(seed)).depth_m.any() for seed in range(200))
+    assert 100 < kept < 180
+
+
 def test_black_stays_black_under_photometric_changes():
     dark = Sample(np.zeros((64, 64, 3), np.uint8), np.ones((64, 64), np.float32), np.zeros(0), np.zeros((0, 4)))
-    config = AugmentationConfig(photometric=1.0, noise=0.0, shift=0.0)
+    config = AugmentationConfig(photometric=1.0, noise=0.0, shift=0.0, jpeg=0.0)
     for seed in range(5):
         assert not augment(dark, config, np.random.default_rng(seed)).rgb.any()
 
@@ -79,7 +109,7 @@ def test_the_papers_augmentation_mirrors_only():
         assert same or np.array_equal(changed.rgb, mirrored(frame()).rgb)
 
 
-@pytest.mark.parametrize("wrong", [{"mirror": 1.5}, {"drop_colour": 0.6, "drop_depth": 0.6}, {"depth_scale": -1.0}])
+@pytest.mark.parametrize("wrong", [{"mirror": 1.5}, {"drop_colour": 0.6, "drop_depth": 0.6}, {"turn_scale": (2.0, 1.0)}, {"turn_deg": 90.0}])
 def test_wrong_values_are_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AugmentationConfig(**wrong)

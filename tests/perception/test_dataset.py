@@ -93,3 +93,15 @@ def test_empty_set_is_named(tmp_path):
         (tmp_path / name).mkdir()
     with pytest.raises(DatasetError, match="images"):
         StairDataset(tmp_path)
+
+
+def test_matched_depth_beside_the_modelled(tmp_path):
+    write_frame(tmp_path)
+    assert StairDataset(tmp_path).matched_folders == ()
+    (tmp_path / "depthes_stereo1").mkdir()
+    cv2.imwrite(str(tmp_path / "depthes_stereo1" / "a.png"), np.full((512, 512), 2500, np.uint16))
+    frames = StairDataset(tmp_path)
+    assert frames.matched_folders == ("depthes_stereo1",)
+    np.testing.assert_allclose(frames[0].depth_m, 1.5)
+    np.testing.assert_allclose(frames.frame(0, "depthes_stereo1").depth_m, 2.5)
+    np.testing.assert_allclose(frames.depth(0, "depthes_stereo1"), 2.5)

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.preprocess import colour_input, depth_input, letterbox, letterbox_lines
+from perception.preprocess import close_small_holes, colour_input, depth_input, letterbox, letterbox_lines
 
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (848, 480), (480, 640), (300, 200), (512, 384), (512, 512)])
@@ -62,3 +62,37 @@ def test_depth_scaling_is_a_plane_for_a_plane_and_far_for_nothing():
     assert depth_input(np.zeros((1, 2, 2))).max() == -1.0
     assert depth_input(np.full((1, 2, 2), 0.01)).max() == 1.0
     assert depth_input(np.full((1, 2, 2), np.nan)).max() == -1.0
+
+
+def slope(height=128, width=160):
+    """Inverse depth rises along both axes: (H, W) float32 metres."""
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    return 1.0 / (0.4 + 0.002 * u + 0.003 * v)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2, 0.35])
+def test_single_holes_are_closed_with_what_is_around(share):
+    depth = slope()
+    holes = np.random.default_rng(0).random(depth.shape) < share
+    closed = close_small_holes(np.where(holes, np.float32(0.0), depth))
+    inner = closed[2:-2, 2:-2]
+    assert (inner == 0.0).mean() < 0.01
+    seen = inner > 0.0
+    assert np.abs(inner - depth[2:-2, 2:-2])[seen].max() < 0.05
+    np.testing.assert_array_equal(closed[~holes], depth[~holes])  # what was read stays as it is
+
+
+def test_large_holes_stay_and_a_full_frame_is_handed_through():
+    depth = slope()
+    assert close_small_holes(depth) is depth
+    holed = depth.copy()
+    holed[40:90, 30:100] = 0.0
+    closed = close_small_holes(holed)
+    assert (closed[44:86, 34:96] == 0.0).all()
+    assert not close_small_holes(np.zeros((16, 16), np.float32)).any()
+
+
+def test_what_is_no_number_is_a_hole():
+    depth = slope()
+    depth[20, 20] = np.nan
+    assert np.isfinite(close_small_holes(depth)).all()
