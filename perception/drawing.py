@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from perception.estimate import DIRECTION_NAMES, StairEstimate
-from perception.lines import NETWORK_SIZE_PX, decode_cells, find_lines
-from stair_env.camera.intrinsics import letterbox_padding
+from perception.geometry.lines import NETWORK_SIZE_PX, decode_cells, find_lines
+from perception.geometry.results import DIRECTION_NAMES, StairEstimate
+from stair_env.intrinsics import letterbox_padding
 
 Colour = tuple[int, int, int]
 

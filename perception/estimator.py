@@ -12,14 +12,14 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from perception.backends import BACKENDS
-from perception.estimate import StairEstimate
-from perception.geometry import GRAVITY_STD_RAD, OMEGA_M, Geometry, attitude_angles, measure_stairs
-from perception.lines import SCORE_THRESHOLD, as_stair_lines, find_lines, to_image_pixels
-from perception.paper_geometry import measure_stairs_as_the_paper
-from stair_env.camera.intrinsics import Intrinsics
-from stair_env.pickling import PicklesByArguments
-from stair_env.stairs import check_choice
+from perception.geometry.lines import SCORE_THRESHOLD, as_stair_lines, find_lines, to_image_pixels
+from perception.geometry.paper import measure_stairs_as_the_paper
+from perception.geometry.planes import GRAVITY_STD_RAD, OMEGA_M, Geometry, attitude_angles, measure_stairs
+from perception.geometry.results import StairEstimate
+from perception.inference.backends import BACKENDS
+from stair_env.common.pickling import PicklesByArguments
+from stair_env.common.validation import check_choice
+from stair_env.intrinsics import Intrinsics
 
 LOGGER = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ class StairEstimator(PicklesByArguments):
 
     Args:
         width: width factor of StairNetV2: 1.0, 0.5 or 0.25.
-        backend: one of `perception.backends.BACKENDS`: "onnx" (default), "openvino" (faster;
+        backend: one of `perception.inference.backends.BACKENDS`: "onnx" (default), "openvino" (faster;
             an extra) or "torch".
         detector: used instead of the network when given (an ideal detector in tests, a model of your own).
         method: "planes" (default: fits treads and risers) or "paper" (equations 7 to 9).
@@ -217,7 +217,7 @@ def check_images(rgb: np.ndarray, depth_m: np.ndarray) -> None:
 def check_intrinsics(intrinsics: Intrinsics, rgb: np.ndarray) -> None:
     """Raise ValueError unless the intrinsics are those of an image of rgb's size."""
     if not isinstance(intrinsics, Intrinsics):
-        raise ValueError(f"intrinsics={intrinsics!r} must be stair_env.camera.intrinsics.Intrinsics")
+        raise ValueError(f"intrinsics={intrinsics!r} must be stair_env.intrinsics.Intrinsics")
     if (intrinsics.height, intrinsics.width) != rgb.shape[:2]:
         raise ValueError(
             f"intrinsics are those of a {intrinsics.width}x{intrinsics.height} image, rgb is "
@@ -247,6 +247,6 @@ def _clean_depth(depth_m: np.ndarray) -> np.ndarray:
 
 
 def _load_network(width: float, backend: str) -> Detector:
-    from perception.detector import NetworkDetector
+    from perception.inference.detector import NetworkDetector
 
     return NetworkDetector(width, backend)

@@ -247,7 +247,7 @@ class StairNetV2(nn.Module):
         """What `forward` gives, with classification as logits, for training.
 
         Args:
-            rgb: (B, 3, 512, 512) float32, scaled by `perception.preprocess`.
+            rgb: (B, 3, 512, 512) float32, scaled by `perception.inference.preprocess`.
             depth: (B, 1, 512, 512) float32, likewise.
         """
         fused = self.selective(self.rgb_branch(rgb), self.depth_branch(depth))

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 
 from perception.estimator import StairEstimator
 from perception.wrapper import NEEDED_KEYS, StairPerception, perceived_info, perceived_observation, perceived_space
-from stair_env.camera.intrinsics import Intrinsics
+from stair_env.intrinsics import Intrinsics
 from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.robots import RobotSpec
 

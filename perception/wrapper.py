@@ -17,13 +17,13 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from perception.attitude import CameraAttitude
-from perception.estimate import StairEstimate
 from perception.estimator import StairEstimator
-from perception.tracker import StairTracker, mounted_camera_to_base, place_camera
-from stair_env.camera.intrinsics import Intrinsics
-from stair_env.kinematics import LegKinematics
+from perception.geometry.results import StairEstimate
+from perception.tracking.camera_gravity import CameraAttitude
+from perception.tracking.tracker import StairTracker, mounted_camera_to_base, place_camera
+from stair_env.intrinsics import Intrinsics
 from stair_env.observation import PROPRIO_SLICES, StairBlock, stair_space
+from stair_env.onboard.kinematics import LegKinematics
 from stair_env.robots import RobotSpec
 
 CONSUMED_KEYS = ("imu", "rgb", "depth")
@@ -134,7 +134,7 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
         self.estimator = estimator if estimator is not None else StairEstimator()
         base: Any = env.unwrapped
         self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)
-        self.last_rgb: np.ndarray | None = None  # the frame that `perception.estimate` speaks of; for pictures
+        self.last_rgb: np.ndarray | None = None  # the frame that `perception.geometry.results` speaks of; for pictures
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
-from policies.checkpoints import MODEL_FILE, NORMALISATION_FILE
+from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -160,8 +160,8 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
     Raises:
         PolicyError: the folder holds no policy.
     """
-    from policies.cards import run_card, write_card
-    from stair_env.provenance import atomic_path
+    from policies.train.cards import run_card, write_card
+    from stair_env.common.files import atomic_path
 
     source = locate(folder, weights)
     target = weights / name
@@ -225,7 +225,7 @@ def _read_checked(name: str, weights: Path) -> dict[str, bytes]:
 
 
 def _unpickle(name: str, contents: Mapping[str, bytes], card: Mapping[str, Any]) -> Policy:
-    from policies.training import algorithm_class
+    from policies.train.training import algorithm_class
 
     try:
         model = algorithm_class(card.get("algorithm", "ppo")).load(io.BytesIO(contents[MODEL_FILE]), device="cpu")

@@ -9,6 +9,8 @@ from typing import Any
 
 import gymnasium
 
+from stair_env.common import moved
+
 __version__ = "0.1.0"
 
 MAX_EPISODE_STEPS = 1200  # 25 s at 48 Hz
@@ -22,8 +24,8 @@ _ENTRY_POINTS: dict[str, dict[str, Any]] = {
         "vector_entry_point": "stair_env.vector:make_rgbd_vec",
     },
     "stair_env/StairClimbPerception-v0": {
-        "entry_point": "perception.environment:make_perception_env",
-        "vector_entry_point": "perception.environment:make_perception_vec",
+        "entry_point": "perception.gym_entry_points:make_perception_env",
+        "vector_entry_point": "perception.gym_entry_points:make_perception_vec",
     },
 }
 ENV_IDS = tuple(_ENTRY_POINTS)
@@ -36,4 +38,5 @@ def register_envs() -> None:
             gymnasium.register(id=env_id, max_episode_steps=MAX_EPISODE_STEPS, **spec)
 
 
+moved.install(__name__)
 register_envs()

@@ -9,33 +9,28 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.attitude import AttitudeFilter, base_to_level
-from stair_env.episode import (
-    LIGHTINGS,
-    SPAWNS,
-    Spawn,
-    StairRanges,
-    draw_spawn,
-    read_curriculum,
-    read_randomization,
-    standing_at,
-)
-from stair_env.gait import ACTION_SIZE, Gait
-from stair_env.imu import Imu, ImuConfig
-from stair_env.judgement import FAILURES, Judge
-from stair_env.kinematics import LegKinematics
-from stair_env.motion import MotionRecorder
+from stair_env.common.pickling import PicklesByArguments
+from stair_env.common.validation import SpecError, check_choice
 from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
-from stair_env.odometry import LegOdometry
-from stair_env.onlooker import Onlooker
-from stair_env.pickling import PicklesByArguments
-from stair_env.privileged import Truth, pack_privileged, privileged_space
-from stair_env.rewards import StepOutcome, read_weights, reward_terms, riser_hits
+from stair_env.onboard.attitude import AttitudeFilter, base_to_level
+from stair_env.onboard.gait import ACTION_SIZE, Gait
+from stair_env.onboard.kinematics import LegKinematics
+from stair_env.onboard.leg_odometry import LegOdometry
+from stair_env.physics.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
+from stair_env.physics.trunk_motion import MotionRecorder
 from stair_env.robots import NUM_JOINTS, get_robot
-from stair_env.scene import Shape, build_stair_shapes
-from stair_env.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
-from stair_env.sources import ExternalSource, HipPose, make_source, true_block
-from stair_env.stairs import SpecError, StairSpec, check_choice
+from stair_env.scene.shapes import Shape, build_stair_shapes
+from stair_env.sensors.camera.third_person_bullet import Onlooker
+from stair_env.sensors.imu import Imu, ImuConfig
+from stair_env.stairs import StairSpec
+from stair_env.task.curriculum import read_curriculum
+from stair_env.task.privileged import Truth, pack_privileged, privileged_space
+from stair_env.task.randomization import read_randomization
+from stair_env.task.rewards import StepOutcome, read_weights, reward_terms, riser_hits
+from stair_env.task.sources import ExternalSource, HipPose, make_source, true_block
+from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, standing_at
+from stair_env.task.stair_ranges import LIGHTINGS, StairRanges
+from stair_env.task.termination import FAILURES, Judge
 
 ACTUATIONS = ("gait", "joint")
 JOINT_ACTION_RAD = 0.5  # actuation="joint": an action of ±1 moves a joint this far from standing
@@ -47,8 +42,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     """A legged robot climbs a staircase that it knows from the stair block of its observation.
 
     Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`), with
-    privileged=True also `privileged` (`stair_env.privileged.PRIVILEGED_FIELDS`).
-    Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.gait.GaitAction`), or with
+    privileged=True also `privileged` (`stair_env.task.privileged.PRIVILEGED_FIELDS`).
+    Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.onboard.gait.GaitAction`), or with
     actuation="joint" twelve joint offsets from standing.
 
     Args:
@@ -59,7 +54,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         lighting: "day", "night" or "random"; matters to cameras.
         camera: renderer and sensor options; matters to the RGBD environment.
         actuation: "gait" or "joint".
-        stair_source: what fills the stair block (`stair_env.sources`).
+        stair_source: what fills the stair block (`stair_env.task.sources`).
         render_mode: "human", "rgb_array", "depth_array" or None.
         curriculum: None, True or fields of `CurriculumConfig`.
         randomization: None, True or fields of `Randomization`.

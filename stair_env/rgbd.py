@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.camera.follower import FollowCamera
-from stair_env.camera.intrinsics import Intrinsics
-from stair_env.camera.renderers import make_renderer
-from stair_env.camera.renderers.bullet import load_egl
-from stair_env.camera.renderers.bullet_shapes import BodyShapes
-from stair_env.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
 from stair_env.env import StairClimbEnv
-from stair_env.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
-from stair_env.robots import CameraMount
+from stair_env.intrinsics import Intrinsics
+from stair_env.physics.simulation import GRAVITY, PHYSICS_RATE_HZ, SUBSTEPS, Simulation, base_to_world
+from stair_env.robots import mount_to_base
 from stair_env.sampling import Scene, SceneSampler
-from stair_env.scene import Shape
-from stair_env.simulation import GRAVITY, PHYSICS_RATE_HZ, SUBSTEPS, BaseState, Simulation
+from stair_env.scene.shapes import Shape
+from stair_env.sensors.camera.renderers import make_renderer
+from stair_env.sensors.camera.renderers.bullet import load_egl
+from stair_env.sensors.camera.renderers.bullet_shapes import BodyShapes
+from stair_env.sensors.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
+from stair_env.sensors.camera.third_person import FollowCamera
+from stair_env.sensors.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
 from stair_env.stairs import StairSpec
 
 IMU_BOUND = np.array([4 * 9.81] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
@@ -130,22 +130,6 @@ class StairClimbRgbdEnv(StairClimbEnv):
         """Release the physics and the camera; safe to call twice."""
         self._camera = None
         super().close()
-
-
-def mount_to_base(mount: CameraMount) -> np.ndarray:
-    """(4, 4) camera_to_base of a mount: optical axes x right, y down, z forward."""
-    cos, sin = np.cos(mount.pitch_down_rad), np.sin(mount.pitch_down_rad)
-    transform = np.eye(4)
-    transform[:3, :3] = np.array([[0.0, -sin, cos], [-1.0, 0.0, 0.0], [0.0, -cos, -sin]])
-    transform[:3, 3] = mount.position
-    return transform
-
-
-def base_to_world(state: BaseState) -> np.ndarray:
-    """(4, 4) pose of the base."""
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = state.rotation, state.position
-    return transform
 
 
 def _rotation_about_x(angle: float) -> np.ndarray:

@@ -8,24 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from stair_env.appearance import LIGHTINGS, AppearanceSpec, Lighting
-from stair_env.looks import automatic_exposure, draw_light, draw_materials
-from stair_env.placement import draw_distractors
-from stair_env.scene_spec import Scene, SceneSpec
-from stair_env.stairs import (
-    RISER_RANGE_M,
-    STEP_COUNT_RANGE,
-    TREAD_RANGE_M,
-    Direction,
-    SideWalls,
-    SpecError,
-    StairSpec,
-    as_range,
-    check_choice,
-    check_range,
-)
-from stair_env.surroundings import SurroundingsKind, SurroundingsSpec, WindowSide, enclosure
-from stair_env.viewpoints import sample_camera_pose
+from stair_env.common.validation import SpecError, as_range, check_choice, check_range
+from stair_env.scene.appearance import LIGHTINGS, AppearanceSpec, Lighting
+from stair_env.scene.random_appearance import automatic_exposure, draw_light, draw_materials
+from stair_env.scene.random_distractors import draw_distractors
+from stair_env.scene.spec import Scene, SceneSpec
+from stair_env.scene.surroundings import SurroundingsKind, SurroundingsSpec, WindowSide, enclosure
+from stair_env.scene.viewpoints import sample_camera_pose
+from stair_env.stairs import RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M, Direction, SideWalls, StairSpec
 
 __all__ = ["Scene", "SceneSampler", "SceneSpec", "sample_camera_pose"]
 

@@ -17,10 +17,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 import stair_env
-from stair_env.info_batch import FINAL_OBSERVATION, batch_infos
-from stair_env.stairs import check_choice
-from stair_env.worker_process import EnvFactory, StepInfo
-from stair_env.workers import WorkerPool
+from stair_env.common.validation import check_choice
+from stair_env.vectorized.infos import FINAL_OBSERVATION, batch_infos
+from stair_env.vectorized.pool import WorkerPool
+from stair_env.vectorized.worker import EnvFactory, StepInfo
 
 RESET_MASK = "reset_mask"  # Gymnasium's option that names the environments to reset
 VectorStep = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]

@@ -6,38 +6,63 @@ import ast
 import json
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from stair_env_cli.main import COMMANDS
+
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("stair_env", "perception", "policies")
+LIBRARIES = ("stair_env", "perception", "policies")  # their top level is what users import
+PACKAGES = (*LIBRARIES, "stair_env_cli")
+MAX_MODULES = 14  # in a folder; beyond that nobody finds anything
+MAX_LINES = 400
 HEAVY = ("torch", "numba", "matplotlib", "stable_baselines3", "lightning", "onnxruntime", "cv2")
 
-# Lower numbers come first in the flow; a module reaches only its own level and below. Modules that the flow does not
-# name (robots, textures, kinematics ...) may stand anywhere, as long as they carry no arrow back.
-LEVELS = {
-    "stair_env.stairs": 0,
-    "stair_env.scene": 1,
-    "stair_env.appearance": 2,
-    "stair_env.distractors": 2,
-    "stair_env.sampling": 3,
-    "stair_env.camera": 4,
-    "stair_env.imu": 4,
-    "stair_env.observation": 5,
-    "stair_env.env": 6,
-    "stair_env.wrappers": 8,
-    "perception": 7,
-    "policies": 9,
-    "stair_env.cli": 10,
-}
+# Rooms in the order of the flow, one level a line: a folder, or a module at the top of a library. A module imports only
+# from its own room and from rooms of lower levels.
+FLOW = (
+    "stair_env.common",
+    "stair_env perception policies",  # the packages themselves, which register ids and let old paths work
+    "stair_env.stairs",
+    "stair_env.scene stair_env.intrinsics",
+    "stair_env.sampling stair_env.robots",
+    "stair_env.sensors.camera.renderers",
+    "stair_env.sensors.camera.stereo",
+    "stair_env.sensors.camera stair_env.physics",
+    "stair_env.sensors",
+    "stair_env.observation",
+    "stair_env.onboard stair_env.task stair_env.vectorized",
+    "stair_env.env stair_env.vector",
+    "stair_env.rgbd",
+    "perception.network",
+    "perception.inference perception.geometry",
+    "perception.tracking perception.estimator perception.drawing",
+    "perception.wrapper",
+    "perception.vector_wrapper",
+    "perception.gym_entry_points",
+    "perception.data",
+    "perception.learning",
+    "perception.reproduction perception.reproduction.baselines",
+    "perception.reproduction.tables_2_3_6",
+    "policies.statistics policies.hyperparams policies.features policies.vec_adapter",
+    "policies.rollout policies.make_env",
+    "policies.report",
+    "policies.train",
+    "policies.pretrained",
+    "policies.evaluate",
+    "stair_env_cli",
+    "stair_env_cli.bench",
+)
+LEVELS = {room: level for level, rooms in enumerate(FLOW) for room in rooms.split()}
 
 
-def level_of(module: str) -> int | None:
-    parts = module.split(".")
-    prefixes = (".".join(parts[:n]) for n in range(len(parts), 0, -1))
-    return next((LEVELS[prefix] for prefix in prefixes if prefix in LEVELS), None)
+def room_of(module: str) -> str:
+    """The folder that a module lies in; at a package's top, the module itself."""
+    folder = module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+    return module if folder in LIBRARIES else folder
 
 
 def module_name(path: Path) -> str:
@@ -76,9 +101,8 @@ def imported_names(tree: ast.AST, module: str, is_package: bool) -> set[str]:
     return found
 
 
-def import_graph() -> dict[str, set[str]]:
+def import_graph(modules: dict[str, Path]) -> dict[str, set[str]]:
     """Project module -> project modules it imports anywhere, also inside functions."""
-    modules = all_modules()
     graph: dict[str, set[str]] = {}
     for name, path in modules.items():
         names = imported_names(ast.parse(path.read_text()), name, path.name == "__init__.py")
@@ -87,35 +111,23 @@ def import_graph() -> dict[str, set[str]]:
     return graph
 
 
-GRAPH = import_graph()
-
-
-def reachable(module: str) -> set[str]:
-    """Everything that a module imports, directly or through others."""
-    found: set[str] = set()
-    waiting = [module]
-    while waiting:
-        new = GRAPH[waiting.pop()] - found
-        found |= new
-        waiting.extend(new)
-    return found
+MODULES = all_modules()
+GRAPH = import_graph(MODULES)
 
 
 def runs_backwards(module: str, target: str) -> bool:
-    level, other = level_of(module), level_of(target)
-    return level is not None and other is not None and other > level
+    room, other = room_of(module), room_of(target)
+    return room != other and LEVELS[other] >= LEVELS[room]
+
+
+def test_every_room_has_a_level() -> None:
+    assert {room_of(module) for module in MODULES} == set(LEVELS)
 
 
 @pytest.mark.parametrize("module", sorted(GRAPH))
 def test_imports_never_run_against_the_flow(module: str) -> None:
-    backwards = sorted(target for target in reachable(module) if runs_backwards(module, target))
-    assert not backwards, f"{module} reaches {backwards}, which come later in the flow"
-
-
-def test_stair_env_imports_neither_sibling() -> None:
-    for module, targets in GRAPH.items():
-        if module.startswith("stair_env") and not module.startswith("stair_env.cli"):
-            assert not {target for target in targets if target.split(".")[0] != "stair_env"}, module
+    backwards = sorted(target for target in GRAPH[module] if runs_backwards(module, target))
+    assert not backwards, f"{module} imports {backwards}, which come later in the flow"
 
 
 def test_imports_make_no_circle() -> None:
@@ -140,6 +152,25 @@ def test_a_backward_import_is_found() -> None:
     assert all(runs_backwards("stair_env.stairs", name) for name in names)
 
 
+def test_folders_stay_small() -> None:
+    folders = Counter(path.parent for path in MODULES.values())
+    commands = set(COMMANDS)
+    folders[ROOT / "stair_env_cli"] -= sum(path.stem.replace("_", "-") in commands for path in MODULES.values())
+    assert not {str(folder): count for folder, count in folders.items() if count > MAX_MODULES}
+
+
+def test_files_stay_short() -> None:
+    texts = {name: path.read_text() for name, path in MODULES.items()}
+    # Compiled code stays in one file: numba's cache watches only the file that a function stands in.
+    long = [name for name, text in texts.items() if text.count("\n") > MAX_LINES and "from numba import" not in text]
+    assert not long
+
+
+def test_no_two_modules_have_one_name() -> None:
+    names = Counter(path.stem for path in MODULES.values() if path.stem != "__init__")
+    assert not [name for name, count in names.items() if count > 1]
+
+
 def loaded_after(code: str) -> set[str]:
     script = f"{code}\nimport sys, json\nprint(json.dumps(sorted({{name.split('.')[0] for name in sys.modules}})))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
@@ -151,7 +182,7 @@ def loaded_after(code: str) -> set[str]:
     [
         "import stair_env",
         "import perception, policies",
-        "from stair_env.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass",
+        "from stair_env_cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass",
     ],
 )
 def test_light_entry_points_load_nothing_heavy(code: str) -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from stair_env.camera.depth_error import DepthErrorConfig, DepthErrorModel, depth_rms_m
-from stair_env.camera.intrinsics import D435I_COLOR_MODES
-from stair_env.camera.renderers.base import look_at
-from stair_env.camera.renderers.factory import make_renderer
+from stair_env.common.transforms import look_at
+from stair_env.intrinsics import D435I_COLOR_MODES
 from stair_env.sampling import SceneSampler
-from stair_env.scene_spec import Scene
+from stair_env.scene.spec import Scene
+from stair_env.sensors.camera.depth_error import DepthErrorConfig, DepthErrorModel, depth_rms_m
+from stair_env.sensors.camera.renderers.factory import make_renderer
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

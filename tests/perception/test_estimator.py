@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from perception.drawing import draw_clusters, draw_estimate, draw_report, draw_section
-from perception.estimate import StairEstimate
 from perception.estimator import StairEstimator
-from perception.ideal import IdealDetector
-from stair_env.camera.intrinsics import D435I_COLOR_MODES, Intrinsics
-from stair_env.camera.labels import LineLabel, visible_edges
-from stair_env.camera.renderers.factory import make_renderer
-from stair_env.scene_spec import Scene, SceneSpec
+from perception.geometry.results import StairEstimate
+from perception.reproduction.ideal_detector import IdealDetector
+from stair_env.common.transforms import look_along
+from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
+from stair_env.scene.spec import Scene, SceneSpec
+from stair_env.sensors.camera.labels import LineLabel, visible_edges
+from stair_env.sensors.camera.renderers.factory import make_renderer
 from stair_env.stairs import StairSpec
-from stair_env.viewpoints import look_along
 
 CAMERA = D435I_COLOR_MODES["640x480"]
 LEVEL = np.array([0.0, -9.8, 0.0])

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from perception.folding import folded
+from perception.inference.batchnorm_fusion import folded
 from perception.network import (
     FUSION_STAGES,
     WIDTHS,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from perception.estimate import Nosing, StairEstimate, StepMeasurement
+from perception.geometry.results import Nosing, StairEstimate, StepMeasurement
 from perception.wrapper import PerceptionWrapper
-from stair_env.camera.intrinsics import D435I_COLOR_MODES
+from stair_env.intrinsics import D435I_COLOR_MODES
 from stair_env.observation import PROPRIO_SIZE, PROPRIO_SLICES, STAIR_FIELDS, StairBlock, proprio_space, stair_space
 from stair_env.robots import ROBOTS
 

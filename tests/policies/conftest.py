@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stair_env.episode import Curriculum, CurriculumConfig
 from stair_env.observation import stair_space
+from stair_env.task.curriculum import Curriculum, CurriculumConfig
 
 TOY_ID = "ToyClimb-v0"
 

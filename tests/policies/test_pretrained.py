@@ -11,10 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from policies import checkpoints, pretrained
+from policies import pretrained
 from policies.make_env import make_env, make_vec_env, normalise
 from policies.pretrained import PolicyError
-from policies.training import TrainingConfig, algorithm_class, train
+from policies.train import checkpoints
+from policies.train.training import TrainingConfig, algorithm_class, train
 
 
 @pytest.fixture()

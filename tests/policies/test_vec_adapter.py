@@ -14,10 +14,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from policies.checkpoints import curriculum_states, restore_curriculum
 from policies.make_env import CLIMB_ID, CurriculumAccess, make_vec_env
+from policies.train.checkpoints import curriculum_states, restore_curriculum
 from policies.vec_adapter import StairSb3VecEnv
-from stair_env.episode import Curriculum, CurriculumConfig
+from stair_env.task.curriculum import Curriculum, CurriculumConfig
 from stair_env.vector import WorkerVectorEnv
 
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers need not be able to import the tests

@@ -4,8 +4,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-from stair_env.rgbd import StairClimbRgbdEnv, base_to_world, mount_to_base
-from stair_env.robots import ROBOTS
+from stair_env.physics.simulation import base_to_world
+from stair_env.rgbd import StairClimbRgbdEnv
+from stair_env.robots import ROBOTS, mount_to_base
 
 RGBD = "stair_env/StairClimbRGBD-v0"
 SMALL = {"width": 160}

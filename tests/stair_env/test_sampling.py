@@ -5,12 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stair_env.appearance import AppearanceSpec, NosingStrip
-from stair_env.distractors import FLAT_KINDS, DistractorSpec
+from stair_env.common.transforms import look_along
+from stair_env.common.validation import SpecError
 from stair_env.sampling import Scene, SceneSampler, SceneSpec, sample_camera_pose
-from stair_env.stairs import SpecError, StairSpec
-from stair_env.surroundings import SurroundingsSpec, build_surroundings, enclosure
-from stair_env.viewpoints import CLEARANCE_M, count_edges_in_view, look_along, min_clearance
+from stair_env.scene.appearance import AppearanceSpec, NosingStrip
+from stair_env.scene.distractors import FLAT_KINDS, DistractorSpec
+from stair_env.scene.surroundings import SurroundingsSpec, build_surroundings, enclosure
+from stair_env.scene.viewpoints import CLEARANCE_M, count_edges_in_view, min_clearance
+from stair_env.stairs import StairSpec
 
 seeds = st.integers(0, 2**32 - 1)
 MIXED = SceneSampler(negatives=0.25)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stair_env.stairs import SpecError, StairSpec
+from stair_env.common.validation import SpecError
+from stair_env.stairs import StairSpec
 
 specs = st.builds(
     StairSpec,

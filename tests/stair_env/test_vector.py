@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stair_env
 from stair_env.vector import WorkerVectorEnv, make_worker_vec
-from stair_env.workers import WorkerError
+from stair_env.vectorized.pool import WorkerError
 
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers need not be able to import the tests
 

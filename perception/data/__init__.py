@@ -1,0 +1,1 @@
+"""Labelled RGB-D frames: drawing, reading, writing and augmenting them."""

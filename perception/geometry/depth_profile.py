@@ -1,0 +1,223 @@
+"""The cross-section of a staircase from depth alone, and what it says about the detector's lines.
+
+Every line of a straight flight runs along the same lateral axis, so that everything the camera sees under one slope
+(height per forward metre) is equally far and equally high. The picture therefore collapses to one curve, forward
+distance over slope, in which each row is the median of hundreds of pixels. That curve is cut into treads (height
+constant), risers (distance constant) and what is neither. The cuts are stair edges. They find the lines that the
+detector missed, and lines that the detector drew in the middle of a face, on a tile's joint or a shadow, are known by
+the lack of one.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from perception.geometry.lines import median
+from perception.geometry.strip_labels import RISER, TREAD, UNKNOWN
+from perception.geometry.strip_planes import DEPTH_SIGMA_PER_M2, MAX_DEPTH_M, MIN_DEPTH_M
+from stair_env.intrinsics import Intrinsics
+
+ROWS = 240  # of the cross-section: one for two of the image's at 640 x 480
+COLUMNS = 40  # readings per row
+MIN_READINGS = 6
+COLUMNS_PER_READING = 2.0  # at this spacing neighbours of a row share part of their noise
+ROWS_PER_READING = 4.0  # neighbouring rows, 2 px apart at 640 x 480, share most of it
+PLACE_STD_M = 0.006  # floor: gravity off by 0.7 degrees tilts a face of 0.3 m by this much
+FACE_COST = 8.0  # of one more face, squared standard deviations: noise does not pay for a face
+UNKNOWN_COST = 3.0  # per row that no face explains
+MIN_FACE_ROWS = 3
+MAX_GAP_ROWS = 8  # unexplained rows between two faces that still meet there: smeared and missing depth
+CORNER_MISS_ROWS = 6.0  # of the corner of two planes from the cut between them; beyond that they do not meet
+
+
+@dataclass(frozen=True)
+class ProfileEdge:
+    """Where two faces meet, or one ends before another.
+
+    Attributes:
+        forward_m, height_m: relative to the camera.
+        near_kind, far_kind: TREAD or RISER.
+    """
+
+    forward_m: float
+    height_m: float
+    near_kind: int
+    far_kind: int
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The cross-section, nearest row first.
+
+    Attributes:
+        slope: (J,) height per forward metre of each row.
+        forward_m, height_m: (J,) what is seen there; 0 where nothing is.
+        readings: (J,) how many readings a row rests on.
+        face: (J,) index of the face of each row, -1 for none.
+        kind, value: (K,) TREAD or RISER of each face; its height or forward distance, metres.
+        edges: nearest first.
+    """
+
+    slope: np.ndarray
+    forward_m: np.ndarray
+    height_m: np.ndarray
+    readings: np.ndarray
+    face: np.ndarray
+    kind: np.ndarray
+    value: np.ndarray
+    edges: tuple[ProfileEdge, ...]
+
+
+def read_profile(
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    camera_to_stair: np.ndarray,
+    middle_x: float,
+    lateral_m: tuple[float, float],
+    omega_m: float,
+) -> Profile:
+    """Scan and cut the cross-section.
+
+    Args:
+        depth_m: (H, W) float, metres, 0 = no reading.
+        intrinsics: of the depth image.
+        camera_to_stair: (3, 3) rotation into (f, l, h).
+        middle_x: image column in which the rows of the cross-section are evenly spaced, pixels.
+        lateral_m: least and greatest l of the staircase, metres.
+        omega_m: faces of one kind nearer than this are one.
+    """
+    slope = _row_slopes(intrinsics, camera_to_stair, middle_x)
+    forward, height, distance, readings = _scan(depth_m, intrinsics, camera_to_stair, slope, lateral_m)
+    first, kind = _segment(slope, forward, height, distance, readings)
+    face, kinds, values, spans = _faces(first, kind, slope, forward, height, readings, omega_m)
+    edges = _edges(kinds, values, spans, slope, omega_m)
+    return Profile(slope, forward, height, readings, face, np.array(kinds, dtype=int), np.array(values), edges)
+
+
+def _row_slopes(intrinsics: Intrinsics, rotation: np.ndarray, middle_x: float) -> np.ndarray:
+    """(J,) slopes under which one image column sees its rows, bottom to top; only rows that look forward."""
+    v = intrinsics.height * (1.0 - (np.arange(ROWS) + 0.5) / ROWS)
+    x, y = (middle_x - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+    rays = np.stack([np.full_like(y, x), y, np.ones_like(y)], axis=1) @ rotation.T
+    ahead = rays[:, 0] > 0.05
+    return np.ascontiguousarray(rays[ahead, 2] / rays[ahead, 0])
+
+
+def _scan(
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    rotation: np.ndarray,
+    slope: np.ndarray,
+    lateral_m: tuple[float, float],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(J,) each: forward, height, depth, readings."""
+
+    from perception.geometry import depth_profile_kernels
+
+    kernels: Any = depth_profile_kernels
+    columns = ((np.arange(COLUMNS) + 0.5) * (intrinsics.width / COLUMNS)).astype(np.int64)
+    forward, height, distance = (np.empty(len(slope)) for _ in range(3))
+    readings = np.empty(len(slope), dtype=np.int64)
+    kernels.scan(
+        depth_m,
+        intrinsics.fx,
+        intrinsics.fy,
+        intrinsics.cx,
+        intrinsics.cy,
+        np.ascontiguousarray(rotation),
+        slope,
+        columns,
+        (float(lateral_m[0]), float(lateral_m[1])),
+        (MIN_DEPTH_M, MAX_DEPTH_M),
+        MIN_READINGS,
+        forward,
+        height,
+        distance,
+        readings,
+    )
+    return forward, height, distance, readings
+
+
+def _segment(
+    slope: np.ndarray, forward: np.ndarray, height: np.ndarray, distance: np.ndarray, readings: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """First row and kind of each part of the cross-section."""
+
+    from perception.geometry import depth_profile_kernels
+
+    kernels: Any = depth_profile_kernels
+    noise = DEPTH_SIGMA_PER_M2 * distance**2 / np.sqrt(np.maximum(readings / COLUMNS_PER_READING, 1.0))
+    per_depth = forward / np.maximum(distance, 1e-6)
+    forward_std = np.hypot(noise * per_depth, PLACE_STD_M)
+    height_std = np.hypot(noise * per_depth * slope, PLACE_STD_M)
+    first, kind = np.empty(len(slope), dtype=np.int64), np.empty(len(slope), dtype=np.int64)
+    count = kernels.segment(
+        forward, height, forward_std, height_std, readings, ROWS_PER_READING, FACE_COST, UNKNOWN_COST, first, kind
+    )
+    return first[:count], kind[:count]
+
+
+def _faces(
+    first: np.ndarray,
+    kind: np.ndarray,
+    slope: np.ndarray,
+    forward: np.ndarray,
+    height: np.ndarray,
+    readings: np.ndarray,
+    omega_m: float,
+) -> tuple[np.ndarray, list[int], list[float], list[tuple[int, int]]]:
+    """Faces of enough rows, joined where of one kind and place: face of each row, kinds, values, row spans."""
+    face = np.full(len(slope), -1)
+    kinds: list[int] = []
+    values: list[float] = []
+    spans: list[tuple[int, int]] = []
+    ends = np.append(first[1:], len(slope)).tolist()
+    for begin, end, what in zip(first.tolist(), ends, kind.tolist()):
+        rows = begin + np.nonzero(readings[begin:end])[0]
+        if what == UNKNOWN or len(rows) < MIN_FACE_ROWS:
+            continue
+        value = median((height if what == TREAD else forward)[rows])
+        if kinds and kinds[-1] == what and abs(values[-1] - value) < omega_m:
+            spans[-1] = (spans[-1][0], int(rows[-1]))
+        else:
+            kinds.append(what)
+            values.append(value)
+            spans.append((int(rows[0]), int(rows[-1])))
+        face[begin:end] = len(kinds) - 1
+    return face, kinds, values, spans
+
+
+def _edges(
+    kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray, omega_m: float
+) -> tuple[ProfileEdge, ...]:
+    """Edges between neighbouring faces that adjoin."""
+    edges = []
+    for near, far in itertools.pairwise(range(len(kinds))):
+        last, begin = spans[near][1], spans[far][0]
+        if begin - last - 1 > MAX_GAP_ROWS:
+            continue
+        cut = 0.5 * float(slope[last] + slope[begin])
+        row = abs(float(slope[begin] - slope[last])) / max(begin - last, 1)
+        place = _corner(kinds[near], values[near], kinds[far], values[far], cut, CORNER_MISS_ROWS * row)
+        if place is not None:
+            edges.append(ProfileEdge(*place, kinds[near], kinds[far]))
+    return tuple(edges)
+
+
+def _corner(
+    near_kind: int, near: float, far_kind: int, far: float, cut: float, tolerance: float
+) -> tuple[float, float] | None:
+    """(forward, height) of the edge between two faces that are cut at a slope."""
+    if near_kind != far_kind:
+        forward, height = (far, near) if near_kind == TREAD else (near, far)
+        if abs(height / max(forward, 1e-3) - cut) < tolerance:
+            return forward, height
+    if near_kind == RISER:
+        return near, near * cut
+    if abs(cut) < 1e-3 or near / cut <= 0.0:
+        return None
+    return near / cut, near

@@ -1,0 +1,1 @@
+"""Training of StairNetV2: losses, metrics, schedules."""

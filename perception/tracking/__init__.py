@@ -1,0 +1,1 @@
+"""From single estimates to one staircase that moves with the robot."""

@@ -1,0 +1,363 @@
+"""Does seeing help? The same episodes with different sources of the stair block, side by side.
+
+Episode i of a cell has the same seed for every source: the same staircase, start and body, so that a difference
+between sources is what the robot was told and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from policies.evaluate.episode_log import EpisodeLog, Key
+from policies.evaluate.stair_sets import DIRECTIONS, GRID_RISERS_M, GRID_TREADS_M, Cell, make_cells
+from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
+from policies.rollout import GRAVITY, Episode, Predictor, ZeroAction, measurement_summary, run_episode
+from policies.statistics import wilson_interval
+from stair_env.common.validation import check_choice
+from stair_env.physics.simulation import CONTROL_DT
+from stair_env.robots import get_robot
+
+CHUNK = 5  # episodes that a worker runs at a time: few enough to share the work evenly
+
+
+@dataclass(frozen=True)
+class Source:
+    """One way to fill the stair block, and who acts on it.
+
+    Attributes:
+        env_id: environment.
+        env_kwargs: its arguments.
+        actor: "policy", "blind" (a policy trained without sight) or "gait" (no policy).
+        perceived: the block was measured, so its errors are reported.
+    """
+
+    env_id: str
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    actor: str = "policy"
+    perceived: bool = False
+
+
+SOURCES: dict[str, Source] = {
+    "oracle": Source(CLIMB_ID, {"stair_source": "oracle"}),
+    "stairnet": Source(PERCEPTION_ID, perceived=True),
+    "noisy": Source(CLIMB_ID, {"stair_source": "noisy"}, perceived=True),
+    "blind": Source(CLIMB_ID, {"stair_source": "blind"}, actor="blind"),
+    "shuffled": Source(CLIMB_ID, {"stair_source": "shuffled"}),
+    "gait": Source(CLIMB_ID, {"stair_source": "oracle"}, actor="gait"),
+}
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What is compared.
+
+    Args:
+        policy: shipped name or folder of the policy that sees; None where only the gait walks.
+        blind_policy: the same for the policy trained without sight.
+        robot: which robot.
+        sources: names in SOURCES.
+        stairs: "paper", "grid" or "random".
+        directions: any of "up", "down".
+        risers, treads: of the grid, metres.
+        episodes: of each cell and source.
+        seed: of all episodes.
+        lighting: "day", "night" or "random".
+        env_kwargs: further arguments of every environment.
+        workers: processes; 1 runs in this one.
+
+    Raises:
+        ValueError: a wrong value; the message names argument, value and choices.
+    """
+
+    policy: str | None = None
+    blind_policy: str | None = None
+    robot: str = "aliengo"
+    sources: Sequence[str] = ("oracle", "gait")
+    stairs: str = "paper"
+    directions: Sequence[str] = DIRECTIONS
+    risers: Sequence[float] = GRID_RISERS_M
+    treads: Sequence[float] = GRID_TREADS_M
+    episodes: int = 10
+    seed: int = 0
+    lighting: str = "day"
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise ValueError(f"sources is empty, choose from {', '.join(SOURCES)}")
+        for name in self.sources:
+            check_choice("source", name, tuple(SOURCES))
+        for name in ("episodes", "workers"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
+        get_robot(self.robot)
+        self.cells()
+        actors = {SOURCES[name].actor for name in self.sources}
+        if "policy" in actors and self.policy is None:
+            raise ValueError(f"policy=None: sources {', '.join(self.sources)} need a policy")
+        if "blind" in actors and self.blind_policy is None:
+            raise ValueError("blind_policy=None: source 'blind' needs a policy trained with stair_source='blind'")
+
+    def cells(self) -> list[Cell]:
+        """What is climbed, in the order that seeds and records count by."""
+        return make_cells(self.stairs, self.directions, self.risers, self.treads)
+
+
+Records = dict[tuple[str, int], list[Episode]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some episodes of one cell with one source."""
+
+    source: str
+    cell_index: int
+    env_id: str
+    env_kwargs: dict[str, Any]
+    options: dict[str, Any]
+    policy: str | None
+    seeds: tuple[int, ...]
+
+    def key(self, seed: int) -> Key:
+        """Of one of its episodes, in an `EpisodeLog`."""
+        return self.source, self.policy, self.cell_index, seed
+
+
+def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> dict[str, Any]:
+    """Run all episodes and tabulate them; see `run_all` and `tabulate`."""
+    return tabulate(config, run_all(config, on_done))
+
+
+def run_all(
+    config: EvaluationConfig, on_done: Callable[[int], None] | None = None, log: EpisodeLog | None = None
+) -> Records:
+    """Run all episodes.
+
+    Args:
+        config: what to compare.
+        on_done: called with the number of episodes just finished.
+        log: takes every episode down when it is over; those it knows already are not run again.
+
+    Returns:
+        Episodes by source and index of the cell, in the order of their seeds.
+
+    Raises:
+        ValueError: a policy cannot be loaded or does not fit.
+        concurrent.futures.process.BrokenProcessPool: a worker died.
+    """
+    cells = config.cells()
+    jobs = plan_jobs(config, cells)
+    found = dict(log.episodes) if log else {}
+    left = [
+        dataclasses.replace(job, seeds=seeds)
+        for job in jobs
+        if (seeds := tuple(seed for seed in job.seeds if job.key(seed) not in found))
+    ]
+    if on_done and len(left) < len(jobs):
+        on_done(sum(len(job.seeds) for job in jobs) - sum(len(job.seeds) for job in left))
+    for job, episodes in _run_jobs(left, config.workers):
+        found.update((job.key(episode.seed), episode) for episode in episodes)
+        if log:
+            log.add(job.source, job.policy, job.cell_index, episodes)
+        if on_done:
+            on_done(len(episodes))
+    records: dict[tuple[str, int], list[Episode]] = {
+        (source, index): [] for source in config.sources for index in range(len(cells))
+    }
+    for job in jobs:
+        records[job.source, job.cell_index].extend(found[job.key(seed)] for seed in job.seeds)
+    return records
+
+
+def episode_settings(config: EvaluationConfig) -> dict[str, Any]:
+    """What an episode depends on beside source, policy, cell and seed, of which more may follow later."""
+    names = ("robot", "stairs", "directions", "risers", "treads", "seed", "lighting", "env_kwargs")
+    return {name: getattr(config, name) for name in names}
+
+
+def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
+    """`cells` and `overall` as `stair-env evaluate --json` writes them."""
+    cells = config.cells()
+    mass = get_robot(config.robot).mass
+    rows = [
+        _describe_cell(source, cells[index]) | summarise(episodes, SOURCES[source].perceived, mass)
+        for (source, index), episodes in records.items()
+    ]
+    overall = {}
+    for source in config.sources:
+        everything = [episode for index in range(len(cells)) for episode in records[source, index]]
+        overall[source] = summarise(everything, SOURCES[source].perceived, mass)
+    return {"cells": rows, "overall": overall}
+
+
+def film_chosen(config: EvaluationConfig, records: Records, folder: Path | str) -> list[Path]:
+    """Film, for each source, the first episode that failed and the first that succeeded.
+
+    Args:
+        config: of the evaluation.
+        records: what `run_all` returned.
+        folder: gets `SOURCE_success.mp4` and `SOURCE_failure.mp4`.
+
+    Returns:
+        The videos.
+    """
+    from policies.report.film import Film, open_video
+
+    cells, videos = config.cells(), []
+    with contextlib.closing(_Worker()) as worker:
+        for job in plan_jobs(config, cells):
+            for seed in job.seeds:
+                episode = next(e for e in records[job.source, job.cell_index] if e.seed == seed)
+                path = Path(folder) / f"{job.source}_{'success' if episode.success else 'failure'}.mp4"
+                if path in videos:
+                    continue
+                videos.append(path)
+                filmed = dataclasses.replace(job, env_kwargs={**job.env_kwargs, "render_mode": "rgb_array"})
+                env, policy = worker.prepare(filmed)
+                cell = cells[job.cell_index]
+                title = " ".join(filter(None, [f"{job.source},", cell.direction, cell.name]))
+                with open_video(path) as writer:
+                    film = Film(env, writer, title)
+                    film.finish(run_episode(env, policy, seed, options=job.options, on_step=film.add))
+    return videos
+
+
+def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
+    """All work in chunks; the slow sources first, so that no worker is left with them at the end."""
+    actors = {"policy": config.policy, "blind": config.blind_policy, "gait": None}
+    jobs = []
+    for name in sorted(config.sources, key=lambda name: SOURCES[name].env_id != PERCEPTION_ID):
+        source = SOURCES[name]
+        common = {"robot": config.robot, "lighting": config.lighting, **config.env_kwargs, **source.env_kwargs}
+        for index, cell in enumerate(cells):
+            seeds = episode_seeds(config.seed, index, config.episodes)
+            for start in range(0, len(seeds), CHUNK):
+                chunk = tuple(seeds[start : start + CHUNK])
+                kwargs = {**common, **cell.env_kwargs}
+                jobs.append(Job(name, index, source.env_id, kwargs, cell.options, actors[source.actor], chunk))
+    return jobs
+
+
+def episode_seeds(seed: int, cell_index: int, episodes: int) -> list[int]:
+    """Seeds of a cell's episodes, the same for every source."""
+    return [int(word) for word in np.random.SeedSequence([seed, cell_index]).generate_state(episodes)]
+
+
+def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> dict[str, Any]:
+    """Figures of some episodes; errors of the measurement only where there is one."""
+    successes = sum(episode.success for episode in episodes)
+    climbed = sum(episode.steps_climbed for episode in episodes)
+    walked = sum(max(episode.distance_m, 0.0) for episode in episodes)
+    times = [episode.control_steps * CONTROL_DT for episode in episodes if episode.success]
+    summary: dict[str, Any] = {
+        "episodes": len(episodes),
+        "successes": successes,
+        "success_rate": successes / len(episodes) if episodes else None,
+        "ci95": list(wilson_interval(successes, len(episodes))),
+        "steps_climbed_fraction": climbed / max(sum(episode.num_steps for episode in episodes), 1),
+        "riser_hits_per_step": sum(episode.riser_hits for episode in episodes) / max(climbed, 1),
+        "time_s": float(np.mean(times)) if times else None,
+        "cost_of_transport": sum(episode.energy_j for episode in episodes) / (mass_kg * GRAVITY * max(walked, 1e-6)),
+        "terminations": dict(sorted(Counter(episode.termination for episode in episodes).items())),
+    }
+    if perceived:
+        summary |= measurement_summary(episodes)
+    return summary
+
+
+def _describe_cell(source: str, cell: Cell) -> dict[str, Any]:
+    named = {"stair": cell.name} if cell.name else {}
+    size = {"riser_height": cell.riser_height, "tread_depth": cell.tread_depth, "num_steps": cell.num_steps}
+    return {"source": source, "direction": cell.direction, **named, **size}
+
+
+def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Episode]]]:
+    """Results as they come, from this process or from workers that start without its threads."""
+    if workers == 1 or not jobs:
+        with contextlib.closing(_Worker()) as worker:
+            for job in jobs:
+                yield job, worker.run(job)
+        return
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read by the workers' libraries at load
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
+        pending = {pool.submit(_run_in_worker, job): job for job in jobs}
+        try:
+            for done in as_completed(pending):
+                yield pending[done], done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+class _Worker:
+    """Keeps the environment and the policies between jobs."""
+
+    def __init__(self) -> None:
+        self._key: Any = None
+        self._env: gym.Env | None = None
+        self._policies: dict[str, Predictor] = {}
+
+    def prepare(self, job: Job) -> tuple[gym.Env, Predictor]:
+        env = self._environment(job)
+        return env, self._policy(job.policy, env)
+
+    def run(self, job: Job) -> list[Episode]:
+        env, policy = self.prepare(job)
+        return [run_episode(env, policy, seed, options=job.options) for seed in job.seeds]
+
+    def _environment(self, job: Job) -> gym.Env:
+        key = (job.env_id, repr(sorted(job.env_kwargs.items())))
+        if key != self._key or self._env is None:
+            self.close()
+            self._env, self._key = make_env(job.env_id, job.env_kwargs, monitor=False), key
+        return self._env
+
+    def _policy(self, name: str | None, env: gym.Env) -> Predictor:
+        if name is None:
+            return ZeroAction(env.action_space)
+        from policies import pretrained
+
+        if name not in self._policies:
+            self._policies[name] = pretrained.load(name, env)
+        return self._policies[name]
+
+    def close(self) -> None:
+        if self._env is not None:
+            self._env.close()
+        self._env = self._key = None
+
+
+_WORKER: list[_Worker] = []  # one in each worker process
+
+
+def _run_in_worker(job: Job) -> list[Episode]:
+    if not _WORKER:
+        _limit_torch()
+        _WORKER.append(_Worker())
+    return _WORKER[0].run(job)
+
+
+def _limit_torch() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def count_episodes(config: EvaluationConfig) -> int:
+    """How many episodes `evaluate` will run."""
+    return len(config.cells()) * config.episodes * len(config.sources)

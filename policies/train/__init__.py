@@ -1,0 +1,1 @@
+"""Training of policies: checkpoints, curves and model cards."""

@@ -1,0 +1,101 @@
+"""Learning curves on disk, and those of several runs side by side.
+
+`python -m policies.train.curves RUN... --output results/curves.json` writes a table, the curves, and a picture beside
+it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+CURVE_FILE = "curve.csv"
+CONFIG_FILE = "config.json"
+LOGGED = ("approx_kl", "explained_variance", "value_loss", "std", "ent_coef")  # SB3's names; each algorithm has some
+CURVE_FIELDS = (
+    "timesteps",
+    "wall_s",
+    "episodes",
+    "return_mean",
+    "length_mean",
+    "success_rate",
+    "level_mean",
+    *LOGGED,
+)
+COMPARED = ("timesteps", "return_mean", "success_rate", "level_mean")
+SHARED = ("algorithm", "env_id", "env_kwargs", "hyperparams", "total_timesteps", "num_envs")
+
+
+def read_curve(path: Path | str) -> list[dict[str, Any]]:
+    """Rows of a learning curve, numbers as floats and missing values as ""; no file, no rows."""
+    if not Path(path).is_file():
+        return []
+    with Path(path).open(newline="", encoding="utf-8") as file:
+        return [
+            {name: float(value) if value not in ("", None) else "" for name, value in row.items()}
+            for row in csv.DictReader(file)
+        ]
+
+
+def compare_runs(runs: Iterable[Path | str]) -> dict[str, Any]:
+    """What several seeds of one training did.
+
+    Args:
+        runs: folders that `stair-env train` wrote.
+
+    Returns:
+        JSON-able: `rows` (a table of beginnings and ends), `curves` (COMPARED of each run), and the settings that the
+        runs share.
+
+    Raises:
+        ValueError: a folder is no run, or the runs differ in more than their seed.
+    """
+    rows, curves, settings = [], [], None
+    for run in map(Path, runs):
+        curve = read_curve(run / CURVE_FILE)
+        if not curve or not (run / CONFIG_FILE).is_file():
+            raise ValueError(f"{run} holds no {CURVE_FILE} with rows beside a {CONFIG_FILE}")
+        config = json.loads((run / CONFIG_FILE).read_text(encoding="utf-8"))
+        shared = {name: config.get(name) for name in SHARED}
+        if settings not in (None, shared):
+            raise ValueError(f"{run} differs from the runs before it in more than the seed")
+        settings = shared
+        rows.append({"seed": config["seed"], "commit": config.get("commit", "")[:12], **_ends(curve)})
+        curves.append({"seed": config["seed"], **{name: [row[name] for row in curve] for name in COMPARED}})
+    if settings is None:
+        raise ValueError("runs is empty")
+    return {"rows": rows, "curves": curves, **settings}
+
+
+def _ends(curve: list[dict[str, Any]]) -> Mapping[str, Any]:
+    """First and last value of each figure, and the steps between."""
+    first, last = curve[0], curve[-1]
+    values = {"timesteps": last["timesteps"], "wall_s": last["wall_s"]}
+    for name in COMPARED[1:]:
+        values |= {f"{name}_first": first[name], f"{name}_last": last[name]}
+    return values
+
+
+def _main() -> None:
+    import argparse
+
+    from policies.report.figures import draw_curves
+    from stair_env.common.files import write_json
+
+    parser = argparse.ArgumentParser(
+        prog="python -m policies.train.curves", description="Learning curves of several seeds."
+    )
+    parser.add_argument("runs", nargs="+", type=Path)
+    parser.add_argument("--output", type=Path, required=True, help="JSON file; the picture lies beside it")
+    args = parser.parse_args()
+    results = compare_runs(args.runs)
+    draw_curves({run.name: read_curve(run / CURVE_FILE) for run in args.runs}, args.output.with_suffix(".png"))
+    write_json(args.output, results)
+    print(args.output)
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,260 @@
+"""Training with Stable-Baselines3: PPO and SAC, checkpointed and resumable.
+
+A run's folder holds `config.json` (what was asked), `checkpoints/` (see `policies.train.checkpoints`), `curve.csv` (one
+row an interval), `tensorboard/` when asked for, and at the end `final/` (model, normalisation, card).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from policies.hyperparams import ALGORITHMS, load_hyperparams
+from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.train import checkpoints
+from policies.train.curves import CURVE_FILE
+from stair_env.common.files import provenance, write_json
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv
+
+LOGGER = logging.getLogger(__name__)
+
+CONFIG_FILE = "config.json"
+CARD_FILE = "card.json"
+FINAL_FOLDER = "final"
+CHECKPOINT_FOLDER = "checkpoints"
+DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What a run trains.
+
+    Args:
+        algorithm: "ppo" or "sac".
+        env_id: environment id.
+        env_kwargs: keyword arguments of the environment, JSON-able.
+        hyperparams: values that replace those of the algorithm's YAML file.
+        hyperparams_file: YAML file in place of the shipped one.
+        total_timesteps: environment steps over all environments; None takes the file's n_timesteps.
+        num_envs: parallel environments; None takes the file's n_envs.
+        seed: seed of environments, networks and exploration.
+        vec_kind: "auto", "subproc", "dummy" or "workers" (`policies.make_env.make_vec_env`).
+        checkpoint_every: environment steps between checkpoints.
+        tensorboard: write TensorBoard logs.
+        torch_threads: threads of the network's updates.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    algorithm: str = "ppo"
+    env_id: str = CLIMB_ID
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    hyperparams: Mapping[str, Any] = field(default_factory=dict)
+    hyperparams_file: str | None = None
+    total_timesteps: int | None = None
+    num_envs: int | None = None
+    seed: int = 0
+    vec_kind: str = "auto"
+    checkpoint_every: int = 50_000
+    tensorboard: bool = False
+    torch_threads: int = 1
+
+    def __post_init__(self) -> None:
+        if self.algorithm not in ALGORITHMS:
+            raise ValueError(f"algorithm={self.algorithm!r} must be one of {', '.join(ALGORITHMS)}")
+        for name in ("total_timesteps", "num_envs", "checkpoint_every", "torch_threads"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name}={value!r} must be >= 1")
+
+    def resolved_hyperparams(self) -> dict[str, Any]:
+        """The YAML file's values with this configuration's on top."""
+        values = load_hyperparams(self.algorithm, self.env_id, self.hyperparams_file) | dict(self.hyperparams)
+        if self.total_timesteps is not None:
+            values["n_timesteps"] = self.total_timesteps
+        if self.num_envs is not None:
+            values["n_envs"] = self.num_envs
+        return values
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form; `TrainingConfig(**values)` rebuilds it."""
+        return dataclasses.asdict(self)
+
+
+def train(
+    config: TrainingConfig,
+    folder: Path | str,
+    *,
+    resume: bool = False,
+    start_from: Path | None = None,
+    show_progress: bool = False,
+) -> dict[str, Any]:
+    """Train a policy.
+
+    Args:
+        config: what to train.
+        folder: the run's folder, made if missing.
+        resume: go on from the newest checkpoint in the folder (from the start when there is none yet).
+        start_from: folder of a saved policy whose weights and statistics the run begins with (fine-tuning).
+        show_progress: draw a progress bar on stderr.
+
+    Returns:
+        The card of the result, as `final/card.json` holds it.
+
+    Raises:
+        ValueError: the folder holds another run and resume is False, or a wrong argument.
+    """
+    import torch
+
+    from policies.train.callbacks import CheckpointCallback, CurveCallback, ProgressCallback
+
+    folder = Path(folder)
+    if (folder / CONFIG_FILE).exists() and not resume:
+        raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
+    torch.set_num_threads(config.torch_threads)
+    hyperparams = config.resolved_hyperparams()
+    total = int(hyperparams["n_timesteps"])
+    saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
+    venv = make_vec_env(
+        config.env_id, int(hyperparams["n_envs"]), config.env_kwargs, seed=config.seed, kind=config.vec_kind
+    )
+    try:
+        write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
+        if saved:
+            model = _load_model(config, hyperparams, venv, saved[-1])
+        else:
+            model = _new_model(config, hyperparams, venv, start_from)
+        _set_logging(model, folder / "tensorboard" if config.tensorboard else None)
+        curve = CurveCallback(folder / CURVE_FILE)
+        callbacks = [CheckpointCallback(folder / CHECKPOINT_FOLDER, config.checkpoint_every), curve]
+        if show_progress:
+            callbacks.append(ProgressCallback(total))
+        remaining = total - model.num_timesteps
+        if remaining > 0:
+            model.learn(remaining, callback=callbacks, reset_num_timesteps=not saved, log_interval=1)
+        return _finish(config, model, folder, curve.summary())
+    finally:
+        venv.close()
+
+
+def load_config(folder: Path | str) -> TrainingConfig:
+    """The configuration of a run's folder.
+
+    Raises:
+        FileNotFoundError: the folder holds no run.
+    """
+    values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
+    names = {item.name for item in dataclasses.fields(TrainingConfig)}
+    return TrainingConfig(**{name: value for name, value in values.items() if name in names})
+
+
+def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
+    """SB3's class of an algorithm's name."""
+    import stable_baselines3
+
+    if algorithm not in ALGORITHMS:
+        raise ValueError(f"algorithm={algorithm!r} must be one of {', '.join(ALGORITHMS)}")
+    found: type[BaseAlgorithm] = getattr(stable_baselines3, algorithm.upper())
+    return found
+
+
+def _split(hyperparams: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
+    """The algorithm's own arguments, and the value of `normalize` (False, True or VecNormalize's arguments)."""
+    values = {name: value for name, value in hyperparams.items() if name not in ("n_timesteps", "n_envs", "normalize")}
+    policy = values.get("policy", "MultiInputPolicy")
+    if "." in policy:
+        module, _, name = policy.rpartition(".")
+        values["policy"] = getattr(importlib.import_module(module), name)
+    rate = values.get("learning_rate")
+    if isinstance(rate, str):
+        values["learning_rate"] = _schedule(rate)
+    return values, hyperparams.get("normalize", False)
+
+
+def _schedule(text: str) -> Any:
+    """`lin_3e-4` falls linearly to zero over the run, as in rl_zoo3."""
+    from stable_baselines3.common.utils import LinearSchedule
+
+    kind, _, value = text.partition("_")
+    if kind != "lin":
+        raise ValueError(f"learning_rate={text!r} must be a number or lin_NUMBER")
+    return LinearSchedule(float(value), 0.0, 1.0)
+
+
+def _new_model(
+    config: TrainingConfig, hyperparams: Mapping[str, Any], venv: VecEnv, start_from: Path | None
+) -> BaseAlgorithm:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    arguments, normalisation = _split(hyperparams)
+    if start_from is not None and (start_from / checkpoints.NORMALISATION_FILE).exists():
+        venv = VecNormalize.load(str(start_from / checkpoints.NORMALISATION_FILE), venv)
+        venv.training = True
+    elif normalisation:
+        options = normalisation if isinstance(normalisation, dict) else {}
+        venv = normalise(venv, gamma=float(hyperparams.get("gamma", DEFAULT_GAMMA)), options=options)
+    model = algorithm_class(config.algorithm)(env=venv, seed=config.seed, device="cpu", **arguments)
+    if start_from is not None:
+        model.set_parameters(str(start_from / checkpoints.MODEL_FILE), exact_match=False, device="cpu")
+    return model
+
+
+def _load_model(
+    config: TrainingConfig, hyperparams: Mapping[str, Any], venv: VecEnv, checkpoint: Path
+) -> BaseAlgorithm:
+    """The model of a checkpoint with statistics, curriculum, replay buffer and random state as they were."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    LOGGER.info("resuming from %s", checkpoint)
+    state = checkpoints.read_state(checkpoint)
+    bare = venv
+    if (checkpoint / checkpoints.NORMALISATION_FILE).exists():
+        venv = VecNormalize.load(str(checkpoint / checkpoints.NORMALISATION_FILE), venv)
+    model = algorithm_class(config.algorithm).load(checkpoint / checkpoints.MODEL_FILE, env=venv, device="cpu")
+    if (checkpoint / checkpoints.REPLAY_FILE).exists():
+        model.load_replay_buffer(checkpoint / checkpoints.REPLAY_FILE)  # type: ignore[attr-defined]
+    checkpoints.restore_random_state(checkpoint)
+    # The episodes that the kill cut off are gone: new ones, seeded by where the run stands.
+    bare.seed(int(np.random.SeedSequence([config.seed, state["num_timesteps"]]).generate_state(1)[0] >> 1))
+    checkpoints.restore_curriculum(bare, state["curriculum"])
+    return model
+
+
+def _set_logging(model: BaseAlgorithm, folder: Path | None) -> None:
+    """TensorBoard into the folder, or nothing: SB3's own default leaves an empty folder in /tmp for each run."""
+    from stable_baselines3.common.logger import Logger
+
+    if folder is None:
+        model.set_logger(Logger(None, []))
+    else:
+        model.tensorboard_log = str(folder)
+
+
+def _finish(config: TrainingConfig, model: BaseAlgorithm, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
+    """Write `final/`: the policy and its card."""
+    final = folder / FINAL_FOLDER
+    checkpoints.save_policy(model, final)
+    card = {
+        "algorithm": config.algorithm,
+        "env_id": config.env_id,
+        "env_kwargs": dict(config.env_kwargs),
+        "hyperparams": config.resolved_hyperparams(),
+        "timesteps": model.num_timesteps,
+        "training": summary,
+        "curriculum": checkpoints.curriculum_states(model.get_env()),
+        **provenance(config.seed),
+    }
+    write_json(final / CARD_FILE, card, seed=config.seed)
+    return card

@@ -1,0 +1,1 @@
+"""What every package uses and none owns: checks, files, progress, poses, moved names."""

@@ -1,0 +1,114 @@
+"""Check the values of specifications and arguments, and turn specifications into JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class SpecError(ValueError):
+    """A specification holds a value that cannot be built; the message names field, value and choices."""
+
+
+def check_range(name: str, value: float, low: float, high: float) -> None:
+    """Raise SpecError unless low <= value <= high (NaN never passes)."""
+    if not isinstance(value, (int, float, np.integer, np.floating)) or not low <= value <= high:
+        raise SpecError(f"{name}={value!r} must be a number in [{low:g}, {high:g}]")
+
+
+def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    """Raise SpecError unless value is one of choices."""
+    if value not in choices:
+        raise SpecError(f"{name}={value!r} must be one of {', '.join(map(repr, choices))}")
+
+
+def as_range(name: str, value: object, low: float, high: float) -> tuple[float, float]:
+    """Read an argument that is one number or two in order, as (low, high).
+
+    Raises:
+        SpecError: it is neither, or outside [low, high].
+    """
+    ends = tuple(value) if isinstance(value, (list, tuple, np.ndarray)) else (value, value)
+    if len(ends) != 2 or any(isinstance(end, bool) for end in ends):
+        raise SpecError(f"{name}={value!r} must be a number or [low, high]")
+    for end in ends:
+        check_range(name, end, low, high)
+    if ends[0] > ends[1]:
+        raise SpecError(f"{name}={value!r} must have low <= high")
+    return float(ends[0]), float(ends[1])
+
+
+def from_fields(cls: type, values: Any, what: str = "") -> Any:
+    """Build dataclass cls from a dict of its fields, of which any may be left out that has a default.
+
+    Args:
+        cls: a dataclass.
+        values: what JSON held.
+        what: name of the value in messages; the class's when not given.
+
+    Raises:
+        SpecError: values is no dict or holds an unknown field.
+    """
+    if not isinstance(values, dict):
+        raise SpecError(f"{what or cls.__name__}={values!r} must be a dict of {cls.__name__} fields")
+    names = tuple(entry.name for entry in dataclasses.fields(cls))
+    for name in values:
+        check_choice(f"{what} field".strip(), name, names)
+    return cls(**values)
+
+
+class JsonSpec:
+    """What every specification of stairs and scenes can do: turn into JSON and back, unchanged."""
+
+    def to_json(self) -> str:
+        """One JSON object; `from_json` rebuilds an equal spec."""
+        return json.dumps(dataclasses.asdict(self))  # type: ignore[call-overload]
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Rebuild a spec.
+
+        Raises:
+            SpecError: the text is not a JSON object of this class's fields.
+        """
+        try:
+            values: Any = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise SpecError(f"not JSON: {error}") from None
+        return cls.from_dict(values)
+
+    @classmethod
+    def from_dict(cls, values: Any) -> Self:
+        """Rebuild a spec from `dataclasses.asdict` output.
+
+        Raises:
+            SpecError: values is no dict or holds an unknown field.
+        """
+        built: Self = from_fields(cls, values)
+        return built
+
+
+def from_mapping(name: str, cls: type, value: Any) -> Any:
+    """Build dataclass cls from its defaults and a mapping of changes.
+
+    Args:
+        name: of the argument, in messages.
+        cls: a dataclass whose fields all have defaults.
+        value: what the caller passed.
+
+    Raises:
+        SpecError: value is no mapping or holds an unknown field.
+    """
+    fields = tuple(field.name for field in dataclasses.fields(cls))
+    if not isinstance(value, Mapping):
+        raise SpecError(f"{name}={value!r} must be None, True or a mapping with any of {', '.join(fields)}")
+    for key in value:
+        check_choice(f"{name} field", key, fields)
+    return cls(**value)

@@ -1,0 +1,1 @@
+"""Bullet, and the arithmetic of the trunk's motion."""

@@ -1,0 +1,326 @@
+"""The physics: the one owner of a Bullet client.
+
+It answers named questions about the robot in canonical terms (see `stair_env.robots`) and hides Bullet's link
+indices, inertial frames and joint conventions.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pybullet
+import pybullet_data
+from pybullet_utils.bullet_client import BulletClient
+
+from stair_env.physics.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
+from stair_env.robots import NUM_JOINTS, RobotSpec
+from stair_env.scene.shapes import Shape
+
+GRAVITY = 9.81  # m/s²
+PHYSICS_RATE_HZ = 240
+SUBSTEPS = 5
+CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
+CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
+POSITION_GAIN, VELOCITY_GAIN = 0.03, 0.8  # Bullet's position motor, with velocities fed forward (docs/climbing.md)
+FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
+SHAPE_COLOURS = {
+    "floor": (0.62, 0.61, 0.58, 1.0),
+    "step": (0.72, 0.69, 0.64, 1.0),
+    "wall": (0.86, 0.85, 0.82, 1.0),
+    "rail": (0.35, 0.36, 0.38, 1.0),
+    "stringer": (0.45, 0.36, 0.28, 1.0),
+}
+DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
+
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened; Bullet waits for ever for one that cannot."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
+
+
+class BaseState(NamedTuple):
+    """Trunk state in the world frame.
+
+    Attributes:
+        position: (3,) origin of the canonical base frame, metres.
+        rotation: (3, 3) base to world.
+        velocity: (3,) of the origin, m/s.
+        angular_velocity: (3,) rad/s.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+
+    @property
+    def yaw(self) -> float:
+        """Heading about world z, radians."""
+        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
+
+
+class BaseTrack(NamedTuple):
+    """Trunk states after each of k physics steps.
+
+    Attributes:
+        rows: (k, 18) float64, see `stair_env.physics.body_kernels.trace_trunk`.
+    """
+
+    rows: np.ndarray
+
+    def state(self, index: int) -> BaseState:
+        """One row."""
+        row = self.rows[index]
+        return BaseState(
+            position=row[POSITION:ROTATION],
+            rotation=row[ROTATION:VELOCITY].reshape(3, 3),
+            velocity=row[VELOCITY:ANGULAR_VELOCITY],
+            angular_velocity=row[ANGULAR_VELOCITY:],
+        )
+
+
+class FootContacts(NamedTuple):
+    """Contacts of one control step's last physics step.
+
+    Attributes:
+        touching: (4,) bool.
+        force: (4, 3) force of the ground on each foot, world frame, newtons.
+        body_touches: whether any other part of the robot touches something.
+    """
+
+    touching: np.ndarray
+    force: np.ndarray
+    body_touches: bool
+
+
+class Simulation:
+    """A robot among solids.
+
+    Args:
+        robot: which robot.
+        gui: open Bullet's window instead of running headless.
+        visible: load what Bullet's own renderers draw. Without it an episode begins four times sooner, and the
+            ray-caster, which looks at collision shapes, sees as much.
+    """
+
+    def __init__(self, robot: RobotSpec, gui: bool = False, visible: bool = True) -> None:
+        self.robot = robot
+        self._gui = gui and has_display()
+        if gui and not self._gui:
+            _LOGGER.warning("no display (DISPLAY is not set): the simulation runs without a window")
+        self._visible = visible or self._gui
+        self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
+        self.body = -1
+        self.ground: list[int] = []
+        self._last_targets = np.zeros(NUM_JOINTS)
+        self._signs = np.array(robot.joint_signs)
+        self._offsets = np.array(robot.joint_offsets)
+        # What Bullet calls zero, of angles, velocities and torques.
+        self._joint_zeros = np.array([self._offsets, np.zeros(NUM_JOINTS), np.zeros(NUM_JOINTS)])
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
+        if self.client is not None and self.client._client >= 0:
+            self.client.disconnect()
+            self.client._client = -1
+
+    def build(self, shapes: Sequence[Shape], friction: float) -> None:
+        """Start an empty world, put the solids in and load the robot far above them.
+
+        A fresh world costs 5 ms an episode (20 ms if it is visible) and is what makes an episode independent of those
+        before it. A robot whose collision shapes are meshes costs more: 25 ms for Laikago, 280 ms for Mini Cheetah.
+
+        Args:
+            shapes: solids of the scene; the ones that do not collide are drawn only.
+            friction: lateral friction coefficient of the ground against the feet.
+        """
+        client = self.client
+        client.resetSimulation()
+        client.setAdditionalSearchPath(pybullet_data.getDataPath())
+        client.setGravity(0, 0, -GRAVITY)
+        client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
+        client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
+        self.ground = [self._add_shape(shape, friction) for shape in shapes]
+        drawn = pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES if self._visible else pybullet.URDF_IGNORE_VISUAL_SHAPES
+        self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=drawn)
+        self._bind_calls()
+        self._index_links()
+        # Damping belongs to the body: PyBullet applies a call that names it to link -1, its friction included.
+        client.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0)
+        for link in range(-1, client.getNumJoints(self.body)):
+            friction_here = FOOT_FRICTION if link in self._foot_of_link else LINK_FRICTION
+            client.changeDynamics(self.body, link, lateralFriction=friction_here)
+
+    def _bind_calls(self) -> None:
+        """Look up once what every control step calls: `BulletClient` wraps a function anew at each access."""
+        client = self.client
+        self._step_simulation: Callable[[], None] = client.stepSimulation
+        self._base_pose, self._base_velocity = client.getBasePositionAndOrientation, client.getBaseVelocity
+        self._set_motors = client.setJointMotorControlArray
+        self._joint_states, self._link_states = client.getJointStates, client.getLinkStates
+        self._contact_points = client.getContactPoints
+
+    def _index_links(self) -> None:
+        client, robot = self.client, self.robot
+        infos = [client.getJointInfo(self.body, j) for j in range(client.getNumJoints(self.body))]
+        joint_of = {info[1].decode(): info[0] for info in infos}
+        link_of = {info[12].decode(): info[0] for info in infos}
+        self._joints = [joint_of[name] for name in robot.joint_names]
+        toes = [link_of[name] for name in robot.toe_names]
+        self._foot_of_link = {link: foot for foot, link in enumerate(toes)}
+        self._toes = toes
+        dynamics = client.getDynamicsInfo(self.body, -1)
+        self._base_mass = float(dynamics[0])
+        self._inertial_to_link: tuple[Sequence[float], Sequence[float]] = dynamics[3], dynamics[4]
+        inertial = np.array(client.getMatrixFromQuaternion(dynamics[4])).reshape(3, 3)
+        canonical = np.array(client.getMatrixFromQuaternion(robot.base_orientation)).reshape(3, 3)
+        self._inertial_to_canonical = inertial.T @ canonical
+        self._origin_in_base = -canonical.T @ np.array(dynamics[3])  # from the centre of mass, base axes, metres
+
+    def _add_shape(self, shape: Shape, friction: float) -> int:
+        client = self.client
+        kinds: dict[str, tuple[int, dict[str, Any]]] = {
+            "box": (pybullet.GEOM_BOX, {"halfExtents": shape.size}),
+            "sphere": (pybullet.GEOM_SPHERE, {"radius": shape.size[0]}),
+            "cylinder": (pybullet.GEOM_CYLINDER, {"radius": shape.size[0], "height": 2 * shape.size[1]}),
+            "capsule": (pybullet.GEOM_CAPSULE, {"radius": shape.size[0], "height": 2 * shape.size[1]}),
+        }
+        geometry, size = kinds[shape.kind]
+        collision = client.createCollisionShape(geometry, **size) if shape.collides else -1
+        visual = -1
+        if self._visible:
+            visual_size = {("length" if key == "height" else key): value for key, value in size.items()}
+            colour = SHAPE_COLOURS.get(shape.surface, DEFAULT_COLOUR)
+            visual = client.createVisualShape(geometry, rgbaColor=colour, **visual_size)
+        body = client.createMultiBody(0, collision, visual, shape.position, shape.orientation)
+        client.changeDynamics(body, -1, lateralFriction=friction)
+        return body
+
+    def place_robot(self, position: np.ndarray, yaw: float, joint_angles: np.ndarray, pitch: float = 0.0) -> None:
+        """Teleport the robot, at rest.
+
+        Args:
+            position: (3,) base origin, world frame, metres.
+            yaw: heading, radians.
+            joint_angles: (12,) canonical, radians.
+            pitch: nose-down angle about the base's y axis, radians.
+        """
+        heading = pybullet.getQuaternionFromEuler([0, pitch, yaw])
+        link_to_base = pybullet.invertTransform([0, 0, 0], self.robot.base_orientation)
+        link_to_world = pybullet.multiplyTransforms(position, heading, *link_to_base)
+        inertial_to_world = pybullet.multiplyTransforms(*link_to_world, *self._inertial_to_link)
+        self.client.resetBasePositionAndOrientation(self.body, *inertial_to_world)  # it takes the inertial frame
+        self.client.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0])
+        self._last_targets = joint_angles
+        for joint, angle in zip(self._joints, self._to_urdf(joint_angles)):
+            self.client.resetJointState(self.body, joint, angle, 0.0)
+
+    def _to_urdf(self, angles: np.ndarray) -> np.ndarray:
+        return self._signs * angles + self._offsets
+
+    def set_payload(self, kilograms: float) -> None:
+        """Add mass to the trunk (negative takes some away)."""
+        self.client.changeDynamics(self.body, -1, mass=max(0.2, self._base_mass + kilograms))
+
+    def command_joints(self, joint_angles: np.ndarray, strength: float = 1.0) -> None:
+        """Set the motors' targets for a control step.
+
+        The velocity that leads from the last targets to these is fed forward. Without it a motor rushes to each
+        target and waits there, 48 times a second, and the feet chatter on the ground and slip.
+
+        Args:
+            joint_angles: (12,) canonical, radians.
+            strength: factor on the largest torque.
+        """
+        velocities = (joint_angles - self._last_targets) / CONTROL_DT
+        self._last_targets = joint_angles
+        self._set_motors(
+            self.body,
+            self._joints,
+            pybullet.POSITION_CONTROL,
+            targetPositions=self._to_urdf(joint_angles).tolist(),
+            targetVelocities=(self._signs * velocities).tolist(),
+            positionGains=[POSITION_GAIN] * NUM_JOINTS,
+            velocityGains=[VELOCITY_GAIN] * NUM_JOINTS,
+            forces=[strength * self.robot.max_torque] * NUM_JOINTS,
+        )
+
+    def step_physics(self) -> None:
+        """Advance one physics step of 1/240 s."""
+        self._step_simulation()
+
+    def step_and_track(self, steps: int) -> BaseTrack:
+        """Advance some physics steps and tell how the trunk moved."""
+        readings: list[float] = []
+        for _ in range(steps):
+            self._step_simulation()
+            readings += self._read_trunk()
+        return self._track(readings)
+
+    def _read_trunk(self) -> tuple[float, ...]:
+        """Position, quaternion, linear and angular velocity of Bullet's inertial frame: thirteen numbers."""
+        position, quaternion = self._base_pose(self.body)
+        linear, angular = self._base_velocity(self.body)
+        return (*position, *quaternion, *linear, *angular)
+
+    def _track(self, readings: Sequence[float]) -> BaseTrack:
+        rows = np.array(readings).reshape(-1, READING_WIDTH)
+        return BaseTrack(trace_trunk(rows, self._inertial_to_canonical, self._origin_in_base))
+
+    def push(self, velocity: np.ndarray) -> None:
+        """Add a velocity (3,) m/s to the trunk at once, as a shove does."""
+        linear, angular = self.client.getBaseVelocity(self.body)
+        self.client.resetBaseVelocity(self.body, np.add(linear, velocity), angular)
+
+    def base_state(self) -> BaseState:
+        """Pose and velocity of the canonical base frame."""
+        return self._track(self._read_trunk()).state(0)
+
+    def joint_states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""
+        angles, velocities, _, torques = zip(*self._joint_states(self.body, self._joints))
+        angles, velocities, torques = self._signs * (np.array([angles, velocities, torques]) - self._joint_zeros)
+        return angles, velocities, torques
+
+    def foot_positions(self) -> np.ndarray:
+        """(4, 3) foot centres in the world frame, metres."""
+        states = self._link_states(self.body, self._toes)
+        return np.array([state[0] for state in states])
+
+    def foot_contacts(self) -> FootContacts:
+        """Contacts of the last physics step."""
+        touching, body_touches = [False] * 4, False
+        force = [[0.0, 0.0, 0.0] for _ in range(4)]
+        for point in self._contact_points(bodyA=self.body):
+            foot = self._foot_of_link.get(point[3])
+            if foot is None:
+                body_touches = body_touches or (point[2] != self.body and point[9] > 1.0)
+                continue
+            touching[foot] = True
+            normal, friction_1, friction_2 = point[7], point[11], point[13]
+            press, slip_1, slip_2, total = point[9], point[10], point[12], force[foot]
+            total[0] += press * normal[0] + slip_1 * friction_1[0] + slip_2 * friction_2[0]
+            total[1] += press * normal[1] + slip_1 * friction_1[1] + slip_2 * friction_2[1]
+            total[2] += press * normal[2] + slip_1 * friction_1[2] + slip_2 * friction_2[2]
+        return FootContacts(np.array(touching), np.array(force), body_touches)
+
+    def follow_with_camera(self, position: np.ndarray, yaw_deg: float = 50.0) -> None:
+        """Keep Bullet's window on the robot (GUI only)."""
+        if self._gui:
+            self.client.resetDebugVisualizerCamera(1.8, yaw_deg, -20.0, list(position))
+
+
+def base_to_world(state: BaseState) -> np.ndarray:
+    """(4, 4) pose of the base."""
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = state.rotation, state.position
+    return transform

@@ -1,0 +1,153 @@
+"""Where a camera that looks at stairs may stand: on a legged robot's head, or in a hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stair_env.common.transforms import look_along
+from stair_env.scene.shapes import Shape
+from stair_env.scene.spec import Scene, SceneSpec
+from stair_env.stairs import StairProfile, StairSpec
+
+ROBOT_SHARE = 0.6  # of the viewpoints; the rest are hand-held
+ROBOT_CAMERA_HEIGHT_M = (0.33, 0.50)  # AlienGo: 0.38 m stance + 0.06 m mount; A1 lower
+ROBOT_CAMERA_PITCH_RAD = (0.40, math.radians(3.0))  # mean (the mount) and spread (the gait)
+ROBOT_CAMERA_FORWARD_M = 0.34  # of the trunk's middle
+SLOPE_FOLLOWING = 0.8  # share of the flight's slope that the trunk's pitch follows
+HAND_CAMERA_HEIGHT_M = (0.25, 1.7)
+HAND_PITCH_RAD = (math.radians(-5.0), math.radians(50.0))
+YAW_LIMIT_RAD = math.radians(40.0)
+ROLL_LIMIT_RAD = math.radians(10.0)
+DISTANCE_M = (0.3, 4.0)  # before the first edge
+CLEARANCE_M = 0.12  # between the lens and any solid
+HALF_FOV = (math.tan(math.radians(69.0 / 2)), math.tan(math.radians(42.0 / 2)))  # D435i colour, data sheet
+VIEW_RANGE_M = (0.2, 4.0)
+VISIBLE_SHARE = 0.25  # of a line's samples that must be in view for it to count
+WANTED_LINES = (0, 2, 4)  # that must be in view ...
+WANTED_SHARES = (0.05, 0.4, 0.55)  # ... from these shares of the viewpoints
+MAX_TRIES = 60
+
+
+def sample_camera_pose(
+    scene_spec: SceneSpec, rng: np.random.Generator, *, robot_share: float = ROBOT_SHARE, scene: Scene | None = None
+) -> np.ndarray:
+    """A viewpoint for a data set.
+
+    Args:
+        scene_spec: the scene to look at.
+        rng: the source of all chance.
+        robot_share: how often the camera sits on a robot's head, 0 to 1.
+        scene: the built scene, if the caller has it already.
+
+    Returns:
+        (4, 4) float64 camera_to_world. The lens is outside every solid. If a staircase is there, mostly two or more of
+        its lines are in view; when no such place is found, the best one.
+    """
+    built = scene if scene is not None else Scene(scene_spec)
+    wanted = 0 if scene_spec.stairs is None else int(rng.choice(WANTED_LINES, p=WANTED_SHARES))
+    on_robot = rng.random() < robot_share
+    best, best_count = None, -1
+    for _ in range(MAX_TRIES):
+        pose = _draw_pose(scene_spec.stairs, on_robot, rng)
+        if min_clearance(built.shapes, pose[:3, 3]) < CLEARANCE_M:
+            continue
+        count = count_edges_in_view(scene_spec.stairs, pose) if scene_spec.stairs is not None else 0
+        if count > best_count:
+            best, best_count = pose, count
+        if best_count >= wanted:
+            break
+    return best if best is not None else look_along(np.array([-1.0, 0.0, _floor_height(scene_spec) + 0.45]), 0.0, 0.4)
+
+
+def _floor_height(scene_spec: SceneSpec) -> float:
+    return 0.0 if scene_spec.stairs is None else float(scene_spec.stairs.profile().level_z[0])
+
+
+def _draw_pose(stairs: StairSpec | None, on_robot: bool, rng: np.random.Generator) -> np.ndarray:
+    yaw = float(np.clip(rng.normal(0.0, YAW_LIMIT_RAD / 2), -YAW_LIMIT_RAD, YAW_LIMIT_RAD))
+    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    half = 0.6 if stairs is None else stairs.flight_width / 2
+    y = float(np.clip(rng.normal(0.0, 0.35 * half), -half - 0.1, half + 0.1))
+    x, surface, slope = _standing_place(stairs, rng)
+    if on_robot:
+        mean, spread = ROBOT_CAMERA_PITCH_RAD
+        body_pitch_up = SLOPE_FOLLOWING * slope
+        pitch = mean - body_pitch_up + float(rng.normal(0.0, spread))
+        z = surface + float(rng.uniform(*ROBOT_CAMERA_HEIGHT_M)) + ROBOT_CAMERA_FORWARD_M * math.sin(body_pitch_up)
+        yaw *= 0.6
+    else:
+        pitch = float(rng.uniform(*HAND_PITCH_RAD))
+        z = surface + float(rng.uniform(*HAND_CAMERA_HEIGHT_M))
+    return look_along(np.array([x, y, z]), yaw, pitch, roll)
+
+
+def _standing_place(stairs: StairSpec | None, rng: np.random.Generator) -> tuple[float, float, float]:
+    """(x of the lens, height of the ground under the robot's middle, slope there in radians, positive upwards)."""
+    if stairs is None:
+        return -_distance(rng), 0.0, 0.0
+    profile = stairs.profile()
+    if stairs.num_steps < 3 or rng.random() < 0.55:
+        x = -_distance(rng)
+    else:
+        x = float(rng.uniform(0.0, 1.0)) * float(profile.edge_x[-2])
+    feet = x - ROBOT_CAMERA_FORWARD_M + np.array([-0.25, 0.25])  # hind and fore feet of the robot that carries the lens
+    heights = _slope_line(profile, feet)
+    slope = math.atan2(float(heights[1] - heights[0]), 0.5)
+    return x, float(heights.mean()), slope
+
+
+def _distance(rng: np.random.Generator) -> float:
+    """From the first edge back to the lens, metres, more often near than far."""
+    near, far = DISTANCE_M
+    return near + (far - near) * float(rng.beta(1.0, 2.2))
+
+
+def _slope_line(profile: StairProfile, x: np.ndarray) -> np.ndarray:
+    """Mean walking height within half a body around x, metres: what a trunk on several steps rests on."""
+    offsets = np.linspace(-0.15, 0.15, 7)
+    mean: np.ndarray = profile.height_at(x[..., None] + offsets).mean(axis=-1)
+    return mean
+
+
+def min_clearance(shapes: tuple[Shape, ...], point: np.ndarray) -> float:
+    """Distance from a point to the nearest solid, metres; negative inside one. Rounded shapes count as their boxes."""
+    centres = np.array([shape.position for shape in shapes])
+    half = np.array([_half_extents(shape) for shape in shapes])
+    turns = Rotation.from_quat(np.array([shape.orientation for shape in shapes]))
+    outside = np.abs(turns.inv().apply(point - centres)) - half
+    distance = np.linalg.norm(np.maximum(outside, 0.0), axis=1) + np.minimum(outside.max(axis=1), 0.0)
+    return float(distance.min())
+
+
+def _half_extents(shape: Shape) -> tuple[float, float, float]:
+    if shape.kind == "box":
+        return shape.size
+    radius, half_length, _ = shape.size
+    extra = radius if shape.kind in ("sphere", "capsule") else 0.0
+    return (radius, radius, half_length + extra)
+
+
+def count_edges_in_view(stairs: StairSpec, camera_to_world: np.ndarray) -> int:
+    """How many stair lines a D435i sees from a pose, the stairs' own profile being all that hides them."""
+    profile = stairs.profile()
+    eye, rotation = camera_to_world[:3, 3], camera_to_world[:3, :3]
+    share = np.linspace(0.02, 0.98, 15)
+    along = np.linspace(0.02, 0.98, 24)
+    count = 0
+    for edge in stairs.edges():
+        points = np.stack(
+            [np.full(15, edge.x), edge.y_right + share * (edge.y_left - edge.y_right), np.full(15, edge.z)], 1
+        )
+        camera = (points - eye) @ rotation
+        depth = np.maximum(camera[:, 2], 1e-6)
+        inside = (camera[:, 2] > VIEW_RANGE_M[0]) & (camera[:, 2] < VIEW_RANGE_M[1])
+        inside &= (np.abs(camera[:, 0]) < HALF_FOV[0] * depth) & (np.abs(camera[:, 1]) < HALF_FOV[1] * depth)
+        if inside.mean() < VISIBLE_SHARE:
+            continue
+        ray_x = eye[0] + along * (edge.x - eye[0])
+        ray_z = eye[2] + along * (edge.z - eye[2])
+        count += bool(np.all(ray_z >= profile.height_at(ray_x) - 0.005))
+    return count

@@ -1,0 +1,1 @@
+"""Simulated sensors: the RGB-D camera and the inertial unit."""

@@ -1,0 +1,151 @@
+"""Compiled loops of the stereo sensor. Importing this module loads numba: do so when a frame is made."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def light_from_projector(
+    depth_m: np.ndarray,
+    focal_px: float,
+    cx: float,
+    cy: float,
+    projector_x_m: float,
+    table_px: float,
+    table_cx: float,
+    table_cy: float,
+    map_u: np.ndarray,
+    map_v: np.ndarray,
+    irradiance: np.ndarray,
+) -> None:
+    """Where each pixel lies in the projector's pattern, and how much of its light reaches the surface there.
+
+    Args:
+        depth_m: (H, W) float32 seen by the imager, metres, 0 = nothing.
+        focal_px, cx, cy: of the imager, pixels.
+        projector_x_m: of the projector in the imager's frame (x right), metres; its axes are the imager's.
+        table_px: pixels of the pattern's table per unit of tangent.
+        table_cx, table_cy: the table's middle, pixels.
+        map_u, map_v: (H, W) float32, written: place in the table.
+        irradiance: (H, W) float32, written: cosine of incidence over the distance squared, 1 / m^2.
+    """
+    height, width = depth_m.shape
+    for v in range(height):
+        above, below = max(v - 1, 0), min(v + 1, height - 1)
+        b = (v + 0.5 - cy) / focal_px
+        for u in range(width):
+            z = depth_m[v, u]
+            if not z > 0.0:
+                map_u[v, u], map_v[v, u], irradiance[v, u] = -1.0, -1.0, 0.0
+                continue
+            left, right = max(u - 1, 0), min(u + 1, width - 1)
+            w = 1.0 / z
+            # Inverse depth is affine on a plane, w = (n . ray) / d, so its gradient is the plane's normal.
+            wu = _smaller_step(w, depth_m[v, left], depth_m[v, right]) * focal_px
+            wv = _smaller_step(w, depth_m[above, u], depth_m[below, u]) * focal_px
+            a = (u + 0.5 - cx) / focal_px
+            nx, ny, nz = wu, wv, w - wu * a - wv * b
+            px, py = a * z - projector_x_m, b * z
+            squared = px * px + py * py + z * z
+            cosine = abs(nx * px + ny * py + nz * z) / np.sqrt((nx * nx + ny * ny + nz * nz) * squared)
+            map_u[v, u] = px * w * table_px + table_cx
+            map_v[v, u] = py * w * table_px + table_cy
+            irradiance[v, u] = cosine / squared
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _smaller_step(w: float, before_m: float, after_m: float) -> float:
+    """The smaller of the steps of inverse depth to two neighbours: the one on the same surface."""
+    back = w - 1.0 / before_m if before_m > 0.0 else np.inf
+    ahead = 1.0 / after_m - w if after_m > 0.0 else np.inf
+    step = back if abs(back) < abs(ahead) else ahead
+    return step if abs(step) < np.inf else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def align(depth_m: np.ndarray, source: np.ndarray, shift_x_m: float, target: np.ndarray, out: np.ndarray) -> None:
+    """Draw each reading into another camera's image as the rectangle that its pixel covers there; the nearest wins.
+
+    Args:
+        depth_m: (h, w) float32, metres, 0 = no reading.
+        source, target: (4,) float64 fx fy cx cy of the two cameras, whose axes are parallel.
+        shift_x_m: of the source camera in the target's frame (x right), metres.
+        out: (H, W) float32, written.
+    """
+    height, width = depth_m.shape
+    rows, columns = out.shape
+    out[:] = np.inf
+    for v in range(height):
+        for u in range(width):
+            z = depth_m[v, u]
+            if not z > 0.0:
+                continue
+            x0 = ((u - source[2]) / source[0] + shift_x_m / z) * target[0] + target[2]
+            x1 = ((u + 1.0 - source[2]) / source[0] + shift_x_m / z) * target[0] + target[2]
+            y0 = (v - source[3]) / source[1] * target[1] + target[3]
+            y1 = (v + 1.0 - source[3]) / source[1] * target[1] + target[3]
+            first_u, last_u = max(int(np.floor(x0)), 0), min(int(np.floor(x1)), columns - 1)
+            first_v, last_v = max(int(np.floor(y0)), 0), min(int(np.floor(y1)), rows - 1)
+            for j in range(first_v, last_v + 1):
+                for i in range(first_u, last_u + 1):
+                    if z < out[j, i]:
+                        out[j, i] = z
+    for j in range(rows):
+        for i in range(columns):
+            if out[j, i] == np.inf:
+                out[j, i] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smooth_along(disparity: np.ndarray, alpha: float, delta: float) -> None:
+    """One pass of the recursive edge-preserving filter along the first axis, forth and back, in place.
+
+    Each reading becomes alpha times itself and the rest the one before, unless they differ by more than delta or one of
+    them is missing (Gastal and Oliveira's domain transform as librealsense documents its spatial filter).
+
+    Args:
+        disparity: (n, m) float32, pixels, 0 = no reading.
+        alpha: weight of the reading itself.
+        delta: step that counts as an edge, pixels.
+    """
+    count, width = disparity.shape
+    for i in range(1, count):
+        for j in range(width):
+            here, before = disparity[i, j], disparity[i - 1, j]
+            if here > 0.0 and before > 0.0 and abs(here - before) < delta:
+                disparity[i, j] = alpha * here + (1.0 - alpha) * before
+    for i in range(count - 2, -1, -1):
+        for j in range(width):
+            here, before = disparity[i, j], disparity[i + 1, j]
+            if here > 0.0 and before > 0.0 and abs(here - before) < delta:
+                disparity[i, j] = alpha * here + (1.0 - alpha) * before
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_holes(disparity: np.ndarray, mode: int) -> None:
+    """Fill missing readings in place, row by row from the left.
+
+    Args:
+        disparity: (h, w) float32, 0 = no reading.
+        mode: 0 takes the reading to the left, 1 the farthest of the neighbours to the left and above, 2 the nearest.
+    """
+    height, width = disparity.shape
+    for v in range(height):
+        for u in range(1, width):
+            if disparity[v, u] > 0.0:
+                continue
+            if mode == 0:
+                disparity[v, u] = disparity[v, u - 1]
+                continue
+            best = np.float32(0.0)
+            for dv in range(-1, 2):
+                if 0 <= v + dv < height:
+                    near = disparity[v + dv, u - 1]
+                    if near > 0.0 and (best == 0.0 or (near < best) == (mode == 1)):
+                        best = near
+            above = disparity[v - 1, u] if v > 0 else np.float32(0.0)
+            if above > 0.0 and (best == 0.0 or (above < best) == (mode == 1)):
+                best = above
+            disparity[v, u] = best

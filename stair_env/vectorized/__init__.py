@@ -1,0 +1,1 @@
+"""Worker processes behind `stair_env.vector`."""

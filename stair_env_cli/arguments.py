@@ -1,0 +1,156 @@
+"""What the subcommands share: options and their types, progress bars, results with provenance."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sized
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stair_env.common.files import atomic_path, provenance, write_json
+from stair_env.common.progress import progress_bar
+
+__all__ = [
+    "BACKENDS",
+    "add_backend_argument",
+    "add_common_arguments",
+    "atomic_path",
+    "choice_list",
+    "json_object",
+    "json_path",
+    "limit_threads",
+    "number_list",
+    "positive_int",
+    "progress",
+    "progress_bar",
+    "provenance",
+    "seed_list",
+    "seed_value",
+    "share",
+    "write_json",
+]
+
+T = TypeVar("T")
+
+BACKENDS = ("onnx", "torch", "openvino")  # perception.inference.backends.BACKENDS, which `--help` need not load
+
+
+def add_backend_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--backend`."""
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        default="onnx",
+        help="what runs the network; OpenVINO needs stair-env[openvino] (%(default)s)",
+    )
+
+
+def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int = 0) -> None:
+    """Add `--seed` and `--json`, which every subcommand has."""
+    parser.add_argument("--seed", type=seed_value, default=default_seed, help="seed of every random draw (%(default)s)")
+    parser.add_argument("--json", type=json_path, metavar="FILE", help="write machine-readable results to FILE")
+
+
+def seed_value(text: str) -> int:
+    """Parse a seed: a whole number >= 0."""
+    return _whole_number(text, minimum=0)
+
+
+def positive_int(text: str) -> int:
+    """Parse a whole number >= 1."""
+    return _whole_number(text, minimum=1)
+
+
+def positive_float(text: str) -> float:
+    """Parse a finite number > 0."""
+    value = _number(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number > 0")
+    return value
+
+
+def share(text: str) -> float:
+    """Parse a number from 0 to 1."""
+    value = _number(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number from 0 to 1")
+    return value
+
+
+def _number(text: str) -> float:
+    """What a text says, or not-a-number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def seed_list(text: str) -> tuple[int, ...]:
+    """Parse comma-separated seeds; repeats are dropped."""
+    return tuple(dict.fromkeys(seed_value(item) for item in text.split(",")))
+
+
+def number_list(text: str) -> tuple[float, ...]:
+    """Parse comma-separated numbers > 0; repeats are dropped."""
+    return tuple(dict.fromkeys(positive_float(item) for item in text.split(",")))
+
+
+def _whole_number(text: str, minimum: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = minimum - 1
+    if value < minimum:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number >= {minimum}")
+    return value
+
+
+def json_path(text: str) -> Path:
+    """Parse an output file; a directory is refused now, not after an hour of work."""
+    path = Path(text)
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r} is a directory, expected a file")
+    return path
+
+
+def choice_list(choices: Iterable[str]) -> Callable[[str], tuple[str, ...]]:
+    """Parser of a comma-separated list whose items must be among the choices; repeats are dropped."""
+    allowed = tuple(choices)
+
+    def parse(text: str) -> tuple[str, ...]:
+        items = tuple(dict.fromkeys(item.strip() for item in text.split(",") if item.strip()))
+        unknown = [item for item in items if item not in allowed]
+        if unknown or not items:
+            raise argparse.ArgumentTypeError(f"{text!r}: choose from {', '.join(allowed)} (comma-separated)")
+        return items
+
+    return parse
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """Parse a JSON object."""
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not JSON: {error}") from None
+    if not isinstance(value, dict):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a JSON object")
+    return value
+
+
+def progress(items: Iterable[T], *, total: int | None = None, description: str = "") -> Iterator[T]:
+    """A progress bar on stderr around an iterable."""
+    size = total if total is not None else len(items) if isinstance(items, Sized) else None
+    with progress_bar(size, description) as bar:
+        for item in items:
+            yield item
+            bar.update()
+
+
+def limit_threads(threads: int = 1) -> None:
+    """Let numeric libraries that are not yet loaded, here and in child processes, use this many threads."""
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, str(threads))

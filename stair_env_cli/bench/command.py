@@ -1,0 +1,71 @@
+"""`stair-env bench`: ratios, each pair timed in the same run, interleaved."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from stair_env_cli.arguments import (
+    add_backend_argument,
+    add_common_arguments,
+    choice_list,
+    positive_int,
+    progress,
+    write_json,
+)
+from stair_env_cli.bench.timing import Row
+
+NAMES = (
+    "env-step",
+    "vector-step",
+    "camera-frame",
+    "worker-memory",
+    "network-0.25",
+    "network-1",
+    "after-network",
+    "perceived-frame",
+    "perceived-frame-walking",
+    "batch",
+)
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Declare the options."""
+    parser = subparsers.add_parser(
+        "bench",
+        help="time and memory ratios, each pair measured in one run",
+        description="Measure pairs in turn. A ratio is theirs over ours: above 1, ours is faster or smaller.",
+    )
+    parser.add_argument("--rounds", type=positive_int, default=15, help="pairs to measure (%(default)s)")
+    parser.add_argument(
+        "--only", type=choice_list(NAMES), default=NAMES, metavar="LIST", help=f"of {', '.join(NAMES)} (all)"
+    )
+    add_backend_argument(parser)
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print a table."""
+    measures = all_rows(args.backend)
+    rows = [measures[name](args.rounds) for name in progress(args.only, description="bench")]
+    print(f"{'':<64}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
+    for row in rows:
+        wanted = "" if row.target is None else f">={row.target:g}"
+        print(f"{row.name:<64}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
+    if args.json:
+        write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
+    return 0
+
+
+def all_rows(backend: str = "onnx") -> dict[str, Callable[[int], Row]]:
+    """Every comparison by name: a function of the number of rounds.
+
+    Args:
+        backend: that runs the network, where there is one.
+    """
+    from stair_env_cli.bench import env_rows, perception_rows
+
+    def bound(row: Callable[[int, str], Row]) -> Callable[[int], Row]:
+        return lambda rounds: row(rounds, backend)
+
+    return {**env_rows.ROWS, **{name: bound(row) for name, row in perception_rows.ROWS.items()}}

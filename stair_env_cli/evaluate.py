@@ -1,0 +1,158 @@
+"""`stair-env evaluate`: the same episodes with different stair sources, side by side."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from stair_env_cli.arguments import (
+    add_common_arguments,
+    choice_list,
+    json_object,
+    limit_threads,
+    number_list,
+    positive_int,
+    write_json,
+)
+
+SOURCES = ("oracle", "stairnet", "blind", "shuffled", "gait", "noisy")
+DIRECTIONS = ("up", "down")
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Declare the options."""
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="compare stair sources on paired episodes",
+        description="Run the same episodes with each source of the stair block; 95 %% intervals are Wilson's.",
+    )
+    parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
+    parser.add_argument(
+        "--blind-policy", metavar="NAME|FILE", help="policy of the source `blind`, trained without sight (POLICY-blind)"
+    )
+    parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
+    parser.add_argument(
+        "--source",
+        type=choice_list(SOURCES),
+        default=("oracle", "gait"),
+        metavar="LIST",
+        help=f"comma-separated: {', '.join(SOURCES)} (oracle,gait)",
+    )
+    parser.add_argument(
+        "--stairs",
+        choices=("paper", "grid", "random"),
+        default="paper",
+        help="the six of the paper's table 7, risers x treads, or random (%(default)s)",
+    )
+    parser.add_argument(
+        "--direction", type=choice_list(DIRECTIONS), default=DIRECTIONS, metavar="LIST", help="up, down (both)"
+    )
+    parser.add_argument(
+        "--risers", type=number_list, metavar="LIST", help="of the grid, metres, comma-separated (0.08,0.11,0.14,0.17)"
+    )
+    parser.add_argument("--treads", type=number_list, metavar="LIST", help="likewise (0.25,0.30,0.35)")
+    parser.add_argument("--episodes", type=positive_int, default=10, help="of each cell and source (%(default)s)")
+    parser.add_argument("--lighting", choices=("day", "night", "random"), default="day", help="(%(default)s)")
+    parser.add_argument(
+        "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environments"
+    )
+    parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw success over risers and treads as PNG")
+    parser.add_argument(
+        "--film", type=Path, metavar="FOLDER", help="film the first failure and the first success of each source"
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the episodes that were written beside --json (FILE.episodes.jsonl) before a kill, or with "
+        "fewer episodes or sources",
+    )
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, print a table, write JSON and figure."""
+    limit_threads(1)
+    if args.resume and not args.json:
+        raise ValueError("--resume needs --json FILE, beside which the episodes are kept")
+    from policies.evaluate import evaluation
+    from policies.evaluate.episode_log import EpisodeLog, log_path
+    from stair_env.common.progress import progress_bar
+
+    policy = args.policy or args.robot
+    actors = {evaluation.SOURCES[name].actor for name in args.source}
+    sizes = {name: getattr(args, name) for name in ("risers", "treads") if getattr(args, name)}
+    if sizes and args.stairs != "grid":
+        raise ValueError(f"--{next(iter(sizes))} is for --stairs grid, not {args.stairs}")
+    config = evaluation.EvaluationConfig(
+        policy=policy if "policy" in actors else None,
+        blind_policy=(args.blind_policy or f"{policy}-blind") if "blind" in actors else None,
+        robot=args.robot,
+        sources=args.source,
+        stairs=args.stairs,
+        directions=args.direction,
+        episodes=args.episodes,
+        seed=args.seed,
+        lighting=args.lighting,
+        env_kwargs=args.env_kwargs,
+        workers=args.workers,
+        **sizes,
+    )
+    _check_policies(config)
+    log = (
+        EpisodeLog(log_path(args.json), evaluation.episode_settings(config), resume=args.resume) if args.json else None
+    )
+    with progress_bar(evaluation.count_episodes(config), "evaluate", unit="episode") as bar:
+        records = evaluation.run_all(config, bar.update, log)
+    results = evaluation.tabulate(config, records)
+    print(format_table(results))
+    if args.json:
+        settings = {name: getattr(args, name) for name in ("robot", "stairs", "lighting", "env_kwargs")}
+        settings |= {"policy": config.policy, "blind_policy": config.blind_policy}
+        write_json(args.json, {**settings, **results}, seed=args.seed)
+    if args.figure:
+        from policies.report.figures import draw_success
+
+        draw_success(results["cells"], args.figure)
+    if args.film:
+        for video in evaluation.film_chosen(config, records, args.film):
+            print(f"video: {video}")
+    return 0
+
+
+def _check_policies(config: Any) -> None:
+    """A missing policy is reported before the workers start."""
+    from policies.pretrained import locate
+
+    for policy in (config.policy, config.blind_policy):
+        if policy is not None:
+            locate(policy)
+
+
+def format_table(results: dict[str, Any]) -> str:
+    """Success by source and direction, as text."""
+    lines = [f"{'source':<10}{'direction':<11}{'success':>9}{'95 % interval':>18}{'steps climbed':>15}{'episodes':>10}"]
+    for source, overall in results["overall"].items():
+        cells = [cell for cell in results["cells"] if cell["source"] == source]
+        for direction in dict.fromkeys(cell["direction"] for cell in cells):
+            part = [cell for cell in cells if cell["direction"] == direction]
+            successes, episodes = (sum(cell[name] for cell in part) for name in ("successes", "episodes"))
+            lines.append(_table_row(source, direction, successes, episodes))
+        climbed = f"{overall['steps_climbed_fraction']:.1%}"
+        lines.append(_table_row(source, "all", overall["successes"], overall["episodes"], climbed))
+        if "rmse_mm" in overall:
+            errors = (f"{name} {value:.1f}" for name, value in overall["rmse_mm"].items() if value is not None)
+            lines.append(
+                f"{'':<10}measured {overall['valid_fraction']:.1%} of the time, RMSE in mm: {', '.join(errors)}"
+            )
+    return "\n".join(lines)
+
+
+def _table_row(source: str, direction: str, successes: int, episodes: int, climbed: str = "") -> str:
+    from policies.statistics import wilson_interval
+
+    low, high = wilson_interval(successes, episodes)
+    interval = f"{low:.1%} - {high:.1%}"
+    return f"{source:<10}{direction:<11}{successes / episodes:>9.1%}{interval:>18}{climbed:>15}{episodes:>10}"

@@ -1,0 +1,108 @@
+"""`stair-env train`: learn to climb with PPO or SAC."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
+
+DIRECTIONS = ("up", "down", "both")
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Declare the options."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a policy with Stable-Baselines3",
+        description="Train a policy; checkpoints are written while it runs, and --resume goes on after a kill.",
+    )
+    parser.add_argument("--output", type=Path, default=Path("runs/train"), help="folder of the run (%(default)s)")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the newest checkpoint in --output; of the other options only --timesteps counts then",
+    )
+    parser.add_argument("--algo", choices=("ppo", "sac"), default="ppo", help="algorithm (%(default)s)")
+    parser.add_argument("--env", default="stair_env/StairClimb-v0", help="environment id (%(default)s)")
+    parser.add_argument("--robot", help="robot (the environment's default)")
+    parser.add_argument("--direction", choices=DIRECTIONS, default="both", help="walking direction (%(default)s)")
+    parser.add_argument("--source", help="where the stair block comes from: oracle, noisy, blind, shuffled")
+    parser.add_argument(
+        "--no-curriculum", action="store_true", help="train on the whole range of stairs from the start"
+    )
+    parser.add_argument(
+        "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environment"
+    )
+    parser.add_argument("--timesteps", type=positive_int, help="environment steps in total (from the YAML file)")
+    parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
+    parser.add_argument(
+        "--vec",
+        choices=("auto", "subproc", "dummy", "workers"),
+        default="auto",
+        help="a process each, one process for all, a process per core, or what suits the cores (%(default)s)",
+    )
+    parser.add_argument(
+        "--hyperparams", metavar="FILE", help="YAML file in rl_zoo3's layout instead of the shipped one"
+    )
+    parser.add_argument("--set", type=json_object, default={}, metavar="JSON", help="hyperparameters to replace")
+    parser.add_argument("--start-from", metavar="POLICY", help="begin with a shipped policy or a folder (fine-tuning)")
+    parser.add_argument("--checkpoint-every", type=positive_int, default=50_000, help="environment steps (%(default)s)")
+    parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard logs into the run's folder")
+    parser.add_argument("--torch-threads", type=positive_int, default=1, help="threads of the updates (%(default)s)")
+    add_common_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, and print where the policy is."""
+    limit_threads(1)
+    from policies.train import training
+
+    started = (args.output / training.CONFIG_FILE).exists()
+    if args.resume and started:
+        config = training.load_config(args.output)
+        if args.timesteps:
+            config = dataclasses.replace(config, total_timesteps=args.timesteps)
+        print(f"resuming the run in {args.output} as its {training.CONFIG_FILE} says")
+    else:
+        config = _config(args)
+    start_from = None
+    if args.start_from:
+        from policies.pretrained import locate
+
+        start_from = locate(args.start_from)
+    card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
+    if args.json:
+        write_json(args.json, card, seed=config.seed)
+    rate = card["training"].get("success_rate")
+    climbed = f", {rate:.0%} of the last episodes climbed" if isinstance(rate, float) else ""
+    print(f"{card['timesteps']} steps{climbed}; policy in {args.output / training.FINAL_FOLDER}")
+    return 0
+
+
+def _config(args: argparse.Namespace) -> Any:
+    from policies.train.training import TrainingConfig
+
+    env_kwargs: dict[str, Any] = {"direction": args.direction}
+    if args.robot:
+        env_kwargs["robot"] = args.robot
+    if args.source:
+        env_kwargs["stair_source"] = args.source
+    if not args.no_curriculum:
+        env_kwargs["curriculum"] = True
+    return TrainingConfig(
+        algorithm=args.algo,
+        env_id=args.env,
+        env_kwargs={**env_kwargs, **args.env_kwargs},
+        hyperparams=args.set,
+        hyperparams_file=args.hyperparams,
+        total_timesteps=args.timesteps,
+        num_envs=args.num_envs,
+        seed=args.seed,
+        vec_kind=args.vec,
+        checkpoint_every=args.checkpoint_every,
+        tensorboard=args.tensorboard,
+        torch_threads=args.torch_threads,
+    )

@@ -1,0 +1,70 @@
+"""`stair-env train` and `stair-env evaluate` from the outside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from stair_env_cli.main import main
+
+TRAIN = ["train", "--vec", "dummy", "--num-envs", "1", "--set", '{"n_steps": 64, "batch_size": 64, "n_epochs": 1}']
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy trained for a moment."""
+    folder = tmp_path_factory.mktemp("train") / "run"
+    assert main([*TRAIN, "--timesteps", "128", "--checkpoint-every", "64", "--output", str(folder)]) == 0
+    return folder
+
+
+def test_train_writes_a_policy_and_goes_on(run_folder: Path, tmp_path: Path) -> None:
+    card = json.loads((run_folder / "final" / "card.json").read_text())
+    assert card["timesteps"] == 128 and card["env_kwargs"] == {"direction": "both", "curriculum": True}
+    assert (
+        main(["train", "--resume", "--timesteps", "192", "--output", str(run_folder), "--json", str(tmp_path / "c")])
+        == 0
+    )
+    assert json.loads((tmp_path / "c").read_text())["timesteps"] == 192
+
+
+def test_evaluate_writes_cells_and_overall(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    options = ["--policy", str(run_folder / "final"), "--source", "oracle,noisy,gait", "--stairs", "random"]
+    limits = ["--episodes", "1", "--workers", "1", "--env-kwargs", '{"max_episode_steps": 20}', "--seed", "3"]
+    assert main(["evaluate", *options, *limits, "--json", str(out)]) == 0
+    results = json.loads(out.read_text())
+    assert len(results["cells"]) == 3 * 2 and set(results["overall"]) == {"oracle", "noisy", "gait"}
+    assert results["seed"] == 3 and "rmse_mm" in results["overall"]["noisy"] and results["commit"]
+    assert "oracle" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate", "--policy", "no/such/policy"], ["no/such/policy", "model.zip"]),
+        (["evaluate", "--source", "gait", "--robot", "cat"], ["robot='cat'", "aliengo"]),
+        (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
+        (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
+        (["train", "--hyperparams", "no_such.yml"], ["no_such.yml"]),
+        (["demo", "--policy", "no/such/policy"], ["no/such/policy"]),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = [] if arguments[0] == "evaluate" else ["--output", str(tmp_path / "run")]
+    assert main([*arguments, *output]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("stair-env")]
+    assert len(lines) == 1 and all(word in lines[0] for word in words)
+
+
+@pytest.mark.parametrize("arguments", [["evaluate", "--source", "seeing"], ["train", "--env-kwargs", "[1]"]])
+def test_wrong_options_name_the_choices(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2 and capsys.readouterr().err
