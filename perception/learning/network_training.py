@@ -31,11 +31,11 @@ from perception.inference.preprocess import colour_input, depth_input
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.learning.metrics import DetectionCounts, count_cells
 from perception.network import StairNetV2
+from stair_env.common.constants import IMAGE_SIZE
 
 LOGGER = logging.getLogger(__name__)
 Batch = tuple[Tensor, ...]  # rgb, depth, cls, loc for StairNetV2
 Encoder = Callable[[Sample], tuple[np.ndarray, ...]]  # a frame at full or half size -> input and targets
-FULL_SIZE = 512
 SCHEDULES = ("step", "cosine")
 
 
@@ -158,7 +158,7 @@ class GridFrames(Dataset[Batch]):
         self,
         frames: StairDataset,
         augmentation: AugmentationConfig | None,
-        size: int = FULL_SIZE,
+        size: int = IMAGE_SIZE,
         seed: int = 0,
         epoch: int = 0,
         encode: Encoder = as_arrays,
@@ -174,7 +174,7 @@ class GridFrames(Dataset[Batch]):
         if self._augmentation is not None:
             rng = np.random.default_rng([self._seed, self._epoch, index])
             sample = augment(sample, self._augmentation, rng)
-        arrays = self._encode(halved(sample) if self._size < FULL_SIZE else sample)
+        arrays = self._encode(halved(sample) if self._size < IMAGE_SIZE else sample)
         return tuple(torch.from_numpy(array) for array in arrays)
 
 
@@ -219,7 +219,7 @@ class FrameModule(L.LightningDataModule):
         self._validation_frames = validation_frames
 
     def _size(self, epoch: int) -> int:
-        return FULL_SIZE // 2 if self._preset.is_small(epoch) else FULL_SIZE
+        return IMAGE_SIZE // 2 if self._preset.is_small(epoch) else IMAGE_SIZE
 
     def train_dataloader(self) -> DataLoader[Batch]:
         """Batches of the current epoch."""
