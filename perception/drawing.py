@@ -8,8 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from perception.geometry.lines import NETWORK_SIZE_PX, decode_cells, find_lines
+from perception.geometry.lines import decode_cells, find_lines
 from perception.geometry.results import DIRECTION_NAMES, StairEstimate
+from stair_env.common.constants import IMAGE_SIZE
 from stair_env.intrinsics import letterbox_padding
 
 Colour = tuple[int, int, int]
@@ -96,7 +97,7 @@ def draw_clusters(rgb: np.ndarray, cls: np.ndarray, loc: np.ndarray) -> np.ndarr
         return image
     middle = (segments.ends[:, :2] + segments.ends[:, 2:]) / 2.0
     nearest = np.argmin(np.abs(lines[:, 4] * middle[:, :1] + lines[:, 5] - middle[:, 1:]), axis=1)
-    ends = segments.ends * side / NETWORK_SIZE_PX - np.array([left, top, left, top])
+    ends = segments.ends * side / IMAGE_SIZE - np.array([left, top, left, top])
     for (x1, y1, x2, y2), index in zip(np.round(ends).astype(int).tolist(), nearest.tolist()):
         cv2.line(image, (x1, y1), (x2, y2), _palette(index), max(side // 160, 2), cv2.LINE_AA)
         cv2.circle(image, (x1, y1), max(side // 250, 1), INK, -1, cv2.LINE_AA)

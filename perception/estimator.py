@@ -16,15 +16,13 @@ from perception.geometry.lines import SCORE_THRESHOLD, as_stair_lines, find_line
 from perception.geometry.paper import measure_stairs_as_the_paper
 from perception.geometry.planes import GRAVITY_STD_RAD, OMEGA_M, Geometry, attitude_angles, measure_stairs
 from perception.geometry.results import StairEstimate
-from perception.inference.backends import BACKENDS
+from stair_env.common.constants import BACKENDS, GEOMETRY_METHODS, NETWORK_WIDTHS
 from stair_env.common.pickling import PicklesByArguments
 from stair_env.common.validation import check_choice
 from stair_env.intrinsics import Intrinsics
 
 LOGGER = logging.getLogger(__name__)
 
-METHODS = ("planes", "paper")
-WIDTHS = (1.0, 0.5, 0.25)
 WEAK_SCORE_THRESHOLD = 0.3  # of cells that count if depth shows an edge there: coverage 85 % -> 90 % going up
 MIN_GRAVITY = 1e-3  # m/s^2: less is no direction
 MAX_INTRINSICS_MISMATCH_PX = 0.5
@@ -76,10 +74,10 @@ class StairEstimator(PicklesByArguments):
         omega_m: float = OMEGA_M,
         gravity_std_rad: float = GRAVITY_STD_RAD,
     ) -> None:
-        check_choice("method", method, METHODS)
+        check_choice("method", method, GEOMETRY_METHODS)
         check_choice("backend", backend, BACKENDS)
-        if width not in WIDTHS:
-            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+        if width not in NETWORK_WIDTHS:
+            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, NETWORK_WIDTHS))}")
         self._detector = detector if detector is not None else _load_network(width, backend)
         self._method = method
         usual = SCORE_THRESHOLD if method == "paper" else WEAK_SCORE_THRESHOLD

@@ -13,11 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-IMAGE_SIZE = 512  # pixels, input side (paper, table 1)
-GRID_ROWS = 32
-GRID_COLUMNS = 16
-WIDTHS = (1.0, 0.5, 0.25)  # channel width factors of the three published versions (paper, table 4)
-FUSION_STAGES = (2, 3, 4)  # down-samplings before the selective module (paper, table 2)
+from stair_env.common.constants import FUSION_STAGES, NETWORK_WIDTHS
 
 STEM_CHANNELS = 32
 STAGE_CHANNELS = (128, 256, 256)
@@ -211,8 +207,8 @@ class StairNetV2(nn.Module):
 
     def __init__(self, width: float = 1.0, fusion_stage: int = 2) -> None:
         super().__init__()
-        if width not in WIDTHS:
-            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+        if width not in NETWORK_WIDTHS:
+            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, NETWORK_WIDTHS))}")
         if fusion_stage not in FUSION_STAGES:
             raise ValueError(f"fusion_stage={fusion_stage!r} must be one of {', '.join(map(str, FUSION_STAGES))}")
         self.width, self.fusion_stage = float(width), fusion_stage

@@ -20,11 +20,11 @@ from gymnasium import spaces
 from perception.estimator import StairEstimator
 from perception.geometry.results import StairEstimate
 from perception.tracking.camera_gravity import CameraAttitude
-from perception.tracking.tracker import StairTracker, mounted_camera_to_base, place_camera
+from perception.tracking.tracker import StairTracker, place_camera
 from stair_env.intrinsics import Intrinsics
 from stair_env.observation import PROPRIO_SLICES, StairBlock, stair_space
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.robots import RobotSpec
+from stair_env.robots import RobotSpec, mount_to_base
 
 CONSUMED_KEYS = ("imu", "rgb", "depth")
 NEEDED_KEYS = ("proprio", *CONSUMED_KEYS)
@@ -52,7 +52,7 @@ class StairPerception:
     def __init__(self, robot: RobotSpec, intrinsics: Intrinsics, tracker: StairTracker | None = None) -> None:
         self.intrinsics = intrinsics
         self.tracker = tracker if tracker is not None else StairTracker(robot.hip_x[0])
-        self._camera_to_base = mounted_camera_to_base(robot)
+        self._camera_to_base = mount_to_base(robot.camera)
         self._kinematics, self._foot_radius = LegKinematics(robot), robot.foot_radius
         self._attitude = CameraAttitude()
         self.reset(0.0)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 import stair_env  # noqa: F401  (registers the ids, also in a worker process)
+from stair_env.common.constants import VEC_KINDS
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-VEC_KINDS = ("auto", "subproc", "dummy", "workers")
 CLIMB_ID = "stair_env/StairClimb-v0"
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
 ENV_IDS = (CLIMB_ID, PERCEPTION_ID)

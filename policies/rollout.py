@@ -10,9 +10,8 @@ import gymnasium as gym
 import numpy as np
 
 from policies.statistics import root_mean_square
-from stair_env.observation import STAIR_FIELDS
+from stair_env.task.block_error import block_error
 
-GRAVITY = 9.81  # m/s², of the cost of transport
 MM = 1000.0
 COMPARED = {"width": "step_width", "height": "step_height", "distance": "edge_distance"}  # error -> field of the block
 ERRORS = (*COMPARED, "same_edge_distance")
@@ -61,8 +60,7 @@ class Episode:
         riser_hits: control steps in which a foot struck a riser, summed over feet.
         seen: control steps in which the truth has stairs ahead.
         measured: those of them in which the observation has, too.
-        same_edge: those of them in which both speak of the same edge, that is, their distances to the next one differ
-            by less than half a tread. Whoever passes an edge a moment late is a whole tread off until then.
+        same_edge: those of them in which both speak of the same edge (`stair_env.task.block_error`).
         squared_error_mm2: sums of the squared differences of width, height and distance (to the next edge) over
             `measured`, and of same_edge_distance over `same_edge`.
     """
@@ -145,16 +143,16 @@ class _Tally:
         if truth["valid"] < 0.5:
             return
         self.seen += 1
-        block = dict(zip(STAIR_FIELDS, np.asarray(observation["stair"], np.float64)))
-        if block["valid"] < 0.5:
+        error = block_error(observation["stair"], truth)
+        if error is None:
             return
         self.measured += 1
-        errors = {name: block[field] - truth[field] for name, field in COMPARED.items()}
-        if abs(errors["distance"]) < truth["step_width"] / 2:
+        errors = {name: getattr(error, field) for name, field in COMPARED.items()}
+        if error.same_edge:
             self.same_edge += 1
-            errors["same_edge_distance"] = errors["distance"]
-        for name, error in errors.items():
-            self.squared_error_mm2[name] += float((error * MM) ** 2)
+            errors["same_edge_distance"] = error.edge_distance
+        for name, metres in errors.items():
+            self.squared_error_mm2[name] += float((metres * MM) ** 2)
 
 
 def measurement_summary(episodes: Sequence[Episode]) -> dict[str, Any]:

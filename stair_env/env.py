@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
 from stair_env.common.pickling import PicklesByArguments
 from stair_env.common.validation import SpecError, check_choice
 from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
@@ -29,7 +30,7 @@ from stair_env.task.randomization import read_randomization
 from stair_env.task.rewards import StepOutcome, read_weights, reward_terms, riser_hits
 from stair_env.task.sources import ExternalSource, HipPose, make_source, true_block
 from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, standing_at
-from stair_env.task.stair_ranges import LIGHTINGS, StairRanges
+from stair_env.task.stair_ranges import StairRanges
 from stair_env.task.termination import FAILURES, Judge
 
 ACTUATIONS = ("gait", "joint")
@@ -93,7 +94,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     ) -> None:
         self.robot = get_robot(robot)
         self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
-        check_choice("lighting", lighting, LIGHTINGS)
+        check_choice("lighting", lighting, LIGHTING_CHOICES)
         check_choice("actuation", actuation, ACTUATIONS)
         check_choice("spawn", spawn, SPAWNS)
         if not isinstance(privileged, bool):
@@ -182,7 +183,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._imu.reset(imu_rng, 1.0 / PHYSICS_RATE_HZ)
         self._state = sim.base_state()
         self._motion = MotionRecorder(self._state)
-        self._attitude.reset(self._state.rotation[2] * 9.81)
+        self._attitude.reset(self._state.rotation[2] * GRAVITY_M_S2)
         self._targets = joints
         self._last_action = np.zeros(self.action_size)
         self._odometry.reset()

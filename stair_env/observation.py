@@ -41,15 +41,16 @@ PROPRIO_FIELDS: dict[str, tuple[int, float]] = {  # name: (length, bound)
 }
 
 
-def _slices() -> dict[str, slice]:
+def name_slices(lengths: Mapping[str, int]) -> dict[str, slice]:
+    """Return where each named part of a flat vector lies, from the parts' lengths in order."""
     found, start = {}, 0
-    for name, (length, _) in PROPRIO_FIELDS.items():
+    for name, length in lengths.items():
         found[name] = slice(start, start + length)
         start += length
     return found
 
 
-PROPRIO_SLICES = _slices()
+PROPRIO_SLICES = name_slices({name: length for name, (length, _) in PROPRIO_FIELDS.items()})
 PROPRIO_SIZE = sum(length for length, _ in PROPRIO_FIELDS.values())
 PROPRIO_BOUND = np.concatenate([np.full(length, bound, np.float32) for length, bound in PROPRIO_FIELDS.values()])
 PROPRIO_LOW = -PROPRIO_BOUND

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.env import StairClimbEnv
 from stair_env.intrinsics import Intrinsics
-from stair_env.physics.simulation import GRAVITY, PHYSICS_RATE_HZ, SUBSTEPS, Simulation, base_to_world
+from stair_env.physics.simulation import PHYSICS_RATE_HZ, SUBSTEPS, Simulation, base_to_world
 from stair_env.robots import mount_to_base
 from stair_env.sampling import Scene, SceneSampler
 from stair_env.scene.shapes import Shape
@@ -21,7 +22,7 @@ from stair_env.sensors.camera.third_person import FollowCamera
 from stair_env.sensors.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
 from stair_env.stairs import StairSpec
 
-IMU_BOUND = np.array([4 * 9.81] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
+IMU_BOUND = np.array([4 * GRAVITY_M_S2] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
 FAR_M = 65.535  # largest distance of a 16-bit depth image in millimetres
 
 
@@ -99,7 +100,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
         felt = self._motion.at_point(lever, mount[:3, :3])
         if len(felt) < SUBSTEPS:  # at rest, before the first step
             felt = np.zeros((SUBSTEPS, 6))
-            felt[:, :3] = GRAVITY * (mount[:3, :3].T @ self._state.rotation[2])
+            felt[:, :3] = GRAVITY_M_S2 * (mount[:3, :3].T @ self._state.rotation[2])
         self._imu_samples = np.clip(self._camera_imu.sample(felt), -IMU_BOUND, IMU_BOUND).astype(np.float32)
 
     def _observation(self) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stair_env.common.transforms import look_along
 from stair_env.common.validation import check_choice, check_range
 from stair_env.scene.shapes import IDENTITY, Quaternion, Vector3
 
@@ -199,8 +200,4 @@ def get_robot(name: str) -> RobotSpec:
 
 def mount_to_base(mount: CameraMount) -> np.ndarray:
     """(4, 4) camera_to_base of a mount: optical axes x right, y down, z forward."""
-    cos, sin = np.cos(mount.pitch_down_rad), np.sin(mount.pitch_down_rad)
-    transform = np.eye(4)
-    transform[:3, :3] = np.array([[0.0, -sin, cos], [-1.0, 0.0, 0.0], [0.0, -cos, -sin]])
-    transform[:3, 3] = mount.position
-    return transform
+    return look_along(np.asarray(mount.position), 0.0, mount.pitch_down_rad)

@@ -8,14 +8,21 @@ from typing import Literal
 
 import numpy as np
 
+from stair_env.common.constants import (
+    LIGHTING_CHOICES,
+    RISER_RANGE_M,
+    SCENE_DIRECTIONS,
+    STEP_COUNT_RANGE,
+    TREAD_RANGE_M,
+)
 from stair_env.common.validation import SpecError, as_range, check_choice, check_range
-from stair_env.scene.appearance import LIGHTINGS, AppearanceSpec, Lighting
+from stair_env.scene.appearance import AppearanceSpec, Lighting
 from stair_env.scene.random_appearance import automatic_exposure, draw_light, draw_materials
 from stair_env.scene.random_distractors import draw_distractors
 from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.scene.surroundings import SurroundingsKind, SurroundingsSpec, WindowSide, enclosure
 from stair_env.scene.viewpoints import sample_camera_pose
-from stair_env.stairs import RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M, Direction, SideWalls, StairSpec
+from stair_env.stairs import Direction, SideWalls, StairSpec
 
 __all__ = ["Scene", "SceneSampler", "SceneSpec", "sample_camera_pose"]
 
@@ -26,7 +33,6 @@ DIRECTION_CHOICES: dict[str, tuple[Direction, ...]] = {
     "both": ("up", "down"),
     "any": ("up", "down", "up", "down", "up_down"),
 }
-SAMPLED_LIGHTINGS: tuple[str, ...] = (*LIGHTINGS, "random")
 UNEVEN_SHARE = 0.4
 UNEVEN_STD_M = 0.004  # building codes allow about 5 mm between neighbouring steps; old stairs exceed it
 UNEVEN_LIMIT_M = 0.012
@@ -73,8 +79,8 @@ class SceneSampler:
         if any(end != int(end) for end in steps):
             raise SpecError(f"num_steps={self.num_steps!r} must be whole numbers")
         object.__setattr__(self, "num_steps", (int(steps[0]), int(steps[1])))
-        check_choice("direction", self.direction, tuple(DIRECTION_CHOICES))
-        check_choice("lighting", self.lighting, SAMPLED_LIGHTINGS)
+        check_choice("direction", self.direction, SCENE_DIRECTIONS)
+        check_choice("lighting", self.lighting, LIGHTING_CHOICES)
         check_range("negatives", self.negatives, 0.0, 1.0)
 
     def sample(self, rng: np.random.Generator) -> SceneSpec:

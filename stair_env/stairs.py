@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 
+from stair_env.common.constants import RISER_RANGE_M, STAIRCASE_DIRECTIONS, STEP_COUNT_RANGE, TREAD_RANGE_M
 from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_range
 
 Direction = Literal["up", "down", "up_down"]
@@ -25,11 +26,7 @@ WalkingDirection = Literal["up", "down"]
 EdgeKind = Literal["convex", "concave"]
 SideWalls = Literal["none", "left", "right", "both"]
 
-DIRECTIONS: tuple[str, ...] = ("up", "down", "up_down")
 SIDE_WALLS: tuple[str, ...] = ("none", "left", "right", "both")
-RISER_RANGE_M = (0.02, 0.25)  # buildable; real stairs are 0.08-0.20, a curriculum starts lower
-TREAD_RANGE_M = (0.15, 0.60)
-STEP_COUNT_RANGE = (1, 24)
 MAX_NOSING_OVERHANG_M = 0.05
 
 
@@ -138,7 +135,7 @@ class StairSpec(JsonSpec):
     stringers: bool = False
 
     def __post_init__(self) -> None:
-        check_choice("direction", self.direction, DIRECTIONS)
+        check_choice("direction", self.direction, STAIRCASE_DIRECTIONS)
         check_range("riser_height", self.riser_height, *RISER_RANGE_M)
         check_range("tread_depth", self.tread_depth, *TREAD_RANGE_M)
         if isinstance(self.num_steps, bool) or not isinstance(self.num_steps, (int, np.integer)):

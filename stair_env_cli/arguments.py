@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS
 from stair_env.common.files import atomic_path, provenance, write_json
 from stair_env.common.progress import progress_bar
 
 __all__ = [
-    "BACKENDS",
+    "WIDTH_NAMES",
     "add_backend_argument",
     "add_common_arguments",
     "atomic_path",
@@ -35,7 +36,7 @@ __all__ = [
 
 T = TypeVar("T")
 
-BACKENDS = ("onnx", "torch", "openvino")  # perception.inference.backends.BACKENDS, which `--help` need not load
+WIDTH_NAMES = tuple(map(str, NETWORK_WIDTHS))  # as an option writes them
 
 
 def add_backend_argument(parser: argparse.ArgumentParser) -> None:

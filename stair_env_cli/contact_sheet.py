@@ -61,31 +61,17 @@ def draw_view(
         sensor: add the D435i's errors to colour and depth.
         camera_to_world: (4, 4) viewpoint; drawn when None.
     """
-    from stair_env.sensors.camera.labels import visible_edges
-    from stair_env.sensors.camera.renderers.factory import make_renderer
+    from stair_env.sensors.camera.still import draw_device, draw_labelled
 
     scene = Scene(spec)
     pose = sample_camera_pose(spec, rng, scene=scene) if camera_to_world is None else camera_to_world
-    renderer = make_renderer("raycast", scene)
-    frame = renderer.render(intrinsics, pose)
-    renderer.close()
-    labels = visible_edges(scene.edges, intrinsics, pose, frame)
+    frame, labels = draw_labelled(scene, intrinsics, pose)
     rgb, depth_m = frame.rgb, frame.depth_m
     if sensor:
-        rgb, depth_m = _with_sensor_errors(rgb, depth_m, intrinsics, rng)
+        depth_error, colour_error = draw_device(rng)
+        rgb = colour_error.apply(frame.rgb, rng)
+        depth_m = depth_error.apply(frame.depth_m, frame.rgb, intrinsics, rng)
     return View(spec, pose, intrinsics, rgb, depth_m, tuple(labels))
-
-
-def _with_sensor_errors(
-    rgb: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    from stair_env.sensors.camera.colour_error import ColourErrorModel
-    from stair_env.sensors.camera.depth_error import DepthErrorModel
-
-    depth_error, colour_error = DepthErrorModel(), ColourErrorModel()
-    depth_error.reset(rng)
-    colour_error.reset(rng)
-    return colour_error.apply(rgb, rng), depth_error.apply(depth_m, rgb, intrinsics, rng)
 
 
 def false_colours(depth_m: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stair_env.common.constants import LIGHTING_CHOICES
 from stair_env_cli.arguments import add_common_arguments, limit_threads, positive_int, progress, write_json
 
 PAPER_TRAIN_IMAGES = 4776  # RGB and depth images together (paper, data set introduction)
@@ -26,7 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--test", type=_even, default=PAPER_VAL_IMAGES, help=counted.format("test"))
     parser.add_argument("--negatives", type=float, default=0.09, help="share of scenes without stairs (%(default)s)")
     parser.add_argument(
-        "--lighting", choices=("day", "night", "random"), default="random", help="light of the scenes (%(default)s)"
+        "--lighting", choices=LIGHTING_CHOICES, default="random", help="light of the scenes (%(default)s)"
     )
     parser.add_argument("--ideal", action="store_true", help="leave out the errors of a D435i")
     parser.add_argument(

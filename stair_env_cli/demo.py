@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stair_env.common.constants import DEMO_LIGHTINGS, EPISODE_DIRECTIONS
 from stair_env_cli.arguments import add_common_arguments, limit_threads, positive_int, write_json
 
 
@@ -19,8 +20,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--episodes", type=positive_int, default=4, help="flights to climb (%(default)s)")
     parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
     parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
-    parser.add_argument("--direction", choices=("up", "down", "both"), default="both", help="(%(default)s)")
-    parser.add_argument("--lighting", choices=("day", "night", "both"), default="both", help="(%(default)s)")
+    parser.add_argument("--direction", choices=EPISODE_DIRECTIONS, default="both", help="(%(default)s)")
+    parser.add_argument("--lighting", choices=DEMO_LIGHTINGS, default="both", help="(%(default)s)")
     add_common_arguments(parser)
 
 

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from stair_env.common.constants import EVALUATION_SOURCES, LIGHTING_CHOICES, STAIR_SETS, WALKING_DIRECTIONS
 from stair_env_cli.arguments import (
     add_common_arguments,
     choice_list,
@@ -16,9 +17,6 @@ from stair_env_cli.arguments import (
     positive_int,
     write_json,
 )
-
-SOURCES = ("oracle", "stairnet", "blind", "shuffled", "gait", "noisy")
-DIRECTIONS = ("up", "down")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -35,26 +33,30 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
     parser.add_argument(
         "--source",
-        type=choice_list(SOURCES),
+        type=choice_list(EVALUATION_SOURCES),
         default=("oracle", "gait"),
         metavar="LIST",
-        help=f"comma-separated: {', '.join(SOURCES)} (oracle,gait)",
+        help=f"comma-separated: {', '.join(EVALUATION_SOURCES)} (oracle,gait)",
     )
     parser.add_argument(
         "--stairs",
-        choices=("paper", "grid", "random"),
+        choices=STAIR_SETS,
         default="paper",
         help="the six of the paper's table 7, risers x treads, or random (%(default)s)",
     )
     parser.add_argument(
-        "--direction", type=choice_list(DIRECTIONS), default=DIRECTIONS, metavar="LIST", help="up, down (both)"
+        "--direction",
+        type=choice_list(WALKING_DIRECTIONS),
+        default=WALKING_DIRECTIONS,
+        metavar="LIST",
+        help="up, down (both)",
     )
     parser.add_argument(
         "--risers", type=number_list, metavar="LIST", help="of the grid, metres, comma-separated (0.08,0.11,0.14,0.17)"
     )
     parser.add_argument("--treads", type=number_list, metavar="LIST", help="likewise (0.25,0.30,0.35)")
     parser.add_argument("--episodes", type=positive_int, default=10, help="of each cell and source (%(default)s)")
-    parser.add_argument("--lighting", choices=("day", "night", "random"), default="day", help="(%(default)s)")
+    parser.add_argument("--lighting", choices=LIGHTING_CHOICES, default="day", help="(%(default)s)")
     parser.add_argument(
         "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environments"
     )
@@ -82,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     from stair_env.common.progress import progress_bar
 
     policy = args.policy or args.robot
-    actors = {evaluation.SOURCES[name].actor for name in args.source}
+    actors = {evaluation.SOURCE_SETUPS[name].actor for name in args.source}
     sizes = {name: getattr(args, name) for name in ("risers", "treads") if getattr(args, name)}
     if sizes and args.stairs != "grid":
         raise ValueError(f"--{next(iter(sizes))} is for --stairs grid, not {args.stairs}")

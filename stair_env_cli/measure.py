@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from stair_env.common.constants import MEASURED_DETECTORS, NETWORK_WIDTHS, PAPER_STAIR_NAMES, WALK_DRIVERS
 from stair_env_cli.arguments import (
     add_backend_argument,
     add_common_arguments,
@@ -14,11 +15,6 @@ from stair_env_cli.arguments import (
     progress_bar,
     write_json,
 )
-
-NETWORKS = ("stairnet", "ideal")
-WIDTHS = (0.25, 0.5, 1.0)
-DRIVERS = ("tracked", "true")
-STAIR_NAMES = tuple(f"Stair{number}" for number in range(1, 7))
 
 
 def add_parser(subparsers: Any) -> None:
@@ -30,21 +26,23 @@ def add_parser(subparsers: Any) -> None:
         "--walking in what the tracker makes of them while a robot walks over whole flights.",
     )
     parser.add_argument(
-        "--network", choices=NETWORKS, default="stairnet", help="ideal: true lines, the floor of the geometry"
+        "--network", choices=MEASURED_DETECTORS, default="stairnet", help="ideal: true lines, the floor of the geometry"
     )
-    parser.add_argument("--width", type=float, choices=WIDTHS, default=0.5, help="of StairNetV2 (%(default)s)")
+    parser.add_argument("--width", type=float, choices=NETWORK_WIDTHS, default=0.5, help="of StairNetV2 (%(default)s)")
     add_backend_argument(parser)
     parser.add_argument(
         "--poses", type=positive_int, default=50, help="camera poses per staircase, direction and light (%(default)s)"
     )
-    parser.add_argument("--stairs", type=choice_list(STAIR_NAMES), default=STAIR_NAMES, help="comma-separated (all)")
+    parser.add_argument(
+        "--stairs", type=choice_list(PAPER_STAIR_NAMES), default=PAPER_STAIR_NAMES, help="comma-separated (all)"
+    )
     parser.add_argument("--mode", default="640x480", help="D435i colour mode (%(default)s)")
     walking = parser.add_argument_group("walking")
     walking.add_argument("--walking", action="store_true", help="walk over the stairs instead of taking single frames")
     walking.add_argument(
         "--drivers",
-        type=choice_list(DRIVERS),
-        default=DRIVERS,
+        type=choice_list(WALK_DRIVERS),
+        default=WALK_DRIVERS,
         help="stairs that the gait reads, comma-separated (both)",
     )
     walking.add_argument(

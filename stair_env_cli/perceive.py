@@ -7,10 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from stair_env.common.constants import GEOMETRY_METHODS, LEVEL_CAMERA_GRAVITY, NETWORK_WIDTHS
 from stair_env_cli.arguments import add_backend_argument, add_common_arguments, progress, write_json
-
-WIDTHS = (0.25, 0.5, 1.0)
-METHODS = ("planes", "paper")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -28,16 +26,16 @@ def add_parser(subparsers: Any) -> None:
         type=float,
         nargs=3,
         metavar=("GX", "GY", "GZ"),
-        default=(0.0, -9.8, 0.0),
+        default=LEVEL_CAMERA_GRAVITY,
         help="accelerometer at rest in the camera frame, x right, y down, z forward (level: 0 -9.8 0)",
     )
     parser.add_argument("--intrinsics", type=Path, metavar="FILE", help="JSON with fx, fy, cx, cy (default: a D435i's)")
     parser.add_argument(
         "--depth-scale", type=float, default=0.001, metavar="M", help="metres a unit of 16-bit depth (%(default)s)"
     )
-    parser.add_argument("--width", type=float, choices=WIDTHS, default=0.25, help="of StairNetV2 (%(default)s)")
+    parser.add_argument("--width", type=float, choices=NETWORK_WIDTHS, default=0.25, help="of StairNetV2 (%(default)s)")
     add_backend_argument(parser)
-    parser.add_argument("--method", choices=METHODS, default="planes", help="geometry (%(default)s)")
+    parser.add_argument("--method", choices=GEOMETRY_METHODS, default="planes", help="geometry (%(default)s)")
     parser.add_argument("--output", type=Path, default=Path("perceived"), help="folder for pictures (%(default)s)")
     parser.add_argument("--no-pictures", action="store_true", help="write no annotated images")
     add_common_arguments(parser)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stair_env_cli.arguments import (
+    WIDTH_NAMES,
     add_backend_argument,
     add_common_arguments,
     choice_list,
@@ -19,7 +20,6 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
-WIDTH_NAMES = ("1.0", "0.5", "0.25")
 SUITES = ("stairnetv2", "classical", "paper", "speed")
 CLASSICAL_IMAGES = ("colour", "depth")
 

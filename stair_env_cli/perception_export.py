@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stair_env_cli.arguments import add_common_arguments, choice_list, write_json
-
-WIDTH_NAMES = ("1.0", "0.5", "0.25")
+from stair_env_cli.arguments import WIDTH_NAMES, add_common_arguments, choice_list, write_json
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:

@@ -8,11 +8,18 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from stair_env_cli.arguments import add_common_arguments, limit_threads, positive_float, positive_int, share, write_json
+from stair_env.common.constants import FUSION_STAGES, TRAINING_PRESETS
+from stair_env_cli.arguments import (
+    WIDTH_NAMES,
+    add_common_arguments,
+    limit_threads,
+    positive_float,
+    positive_int,
+    share,
+    write_json,
+)
 
 VALIDATION_FRAMES = 60  # after each epoch, in each of four conditions of depth
-PRESET_NAMES = ("fast", "paper", "robust")
-WIDTH_NAMES = ("1.0", "0.5", "0.25")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -26,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with train and val")
     parser.add_argument("--output", type=Path, default=Path("runs/stairnetv2"), help="folder of the run (%(default)s)")
     parser.add_argument("--width", choices=WIDTH_NAMES, default="0.25", help="channel width factor (%(default)s)")
-    parser.add_argument("--preset", choices=PRESET_NAMES, default="fast", help="schedule (%(default)s)")
+    parser.add_argument("--preset", choices=TRAINING_PRESETS, default="fast", help="schedule (%(default)s)")
     parser.add_argument("--epochs", type=positive_int, help="instead of the preset's")
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
     parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
@@ -40,7 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--frozen-statistics", action="store_true", help="batch norms keep their mean and variance, for fine-tuning"
     )
     parser.add_argument(
-        "--fusion-stage", type=int, choices=(2, 3, 4), default=2, help="down-samplings before fusion (%(default)s)"
+        "--fusion-stage", type=int, choices=FUSION_STAGES, default=2, help="down-samplings before fusion (%(default)s)"
     )
     parser.add_argument("--fixed-weights", action="store_true", help="equation 1 instead of dynamic loss weights")
     parser.add_argument(

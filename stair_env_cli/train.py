@@ -7,9 +7,8 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from stair_env.common.constants import ALGORITHMS, EPISODE_DIRECTIONS, VEC_KINDS
 from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
-
-DIRECTIONS = ("up", "down", "both")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -25,10 +24,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="go on from the newest checkpoint in --output; of the other options only --timesteps counts then",
     )
-    parser.add_argument("--algo", choices=("ppo", "sac"), default="ppo", help="algorithm (%(default)s)")
+    parser.add_argument("--algo", choices=ALGORITHMS, default="ppo", help="algorithm (%(default)s)")
     parser.add_argument("--env", default="stair_env/StairClimb-v0", help="environment id (%(default)s)")
     parser.add_argument("--robot", help="robot (the environment's default)")
-    parser.add_argument("--direction", choices=DIRECTIONS, default="both", help="walking direction (%(default)s)")
+    parser.add_argument(
+        "--direction", choices=EPISODE_DIRECTIONS, default="both", help="walking direction (%(default)s)"
+    )
     parser.add_argument("--source", help="where the stair block comes from: oracle, noisy, blind, shuffled")
     parser.add_argument(
         "--no-curriculum", action="store_true", help="train on the whole range of stairs from the start"
@@ -40,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
     parser.add_argument(
         "--vec",
-        choices=("auto", "subproc", "dummy", "workers"),
+        choices=VEC_KINDS,
         default="auto",
         help="a process each, one process for all, a process per core, or what suits the cores (%(default)s)",
     )

@@ -7,10 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from stair_env.common.constants import CAMERA_MODES, LIGHTING_CHOICES, SCENE_DIRECTIONS
 from stair_env_cli.arguments import add_common_arguments, positive_int, progress, write_json
-
-CAMERA_MODES = ("640x480", "848x480", "1280x720")
-DIRECTION_CHOICES = ("up", "down", "up_down", "both", "any")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -22,8 +20,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--output", type=Path, default=Path("view.png"), help="PNG or JPEG to write (%(default)s)")
     parser.add_argument("--frames", type=positive_int, default=12, help="number of scenes (%(default)s)")
-    parser.add_argument("--lighting", choices=("day", "night", "random"), default="random", help="light (%(default)s)")
-    parser.add_argument("--direction", choices=DIRECTION_CHOICES, default="any", help="kind of stairs (%(default)s)")
+    parser.add_argument("--lighting", choices=LIGHTING_CHOICES, default="random", help="light (%(default)s)")
+    parser.add_argument("--direction", choices=SCENE_DIRECTIONS, default="any", help="kind of stairs (%(default)s)")
     parser.add_argument("--negatives", type=float, default=0.1, help="share of scenes without stairs (%(default)s)")
     parser.add_argument("--camera", choices=CAMERA_MODES, default="640x480", help="camera mode (%(default)s)")
     parser.add_argument("--sensor", action="store_true", help="add the D435i's errors to colour and depth")

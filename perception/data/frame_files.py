@@ -14,10 +14,10 @@ import numpy as np
 
 from perception.data.stair_dataset import IMAGE_SUFFIXES, MILLIMETRE, read_colour, read_depth, read_side_car
 from perception.estimator import check_gravity
+from stair_env.common.constants import LEVEL_CAMERA_GRAVITY
 from stair_env.common.validation import SpecError
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 
-LEVEL_GRAVITY = (0.0, -9.8, 0.0)
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 D435I_ROWS = 480
 
@@ -37,7 +37,7 @@ class FrameOptions:
     """
 
     intrinsics: dict[str, float] | None = None
-    gravity: tuple[float, float, float] = LEVEL_GRAVITY
+    gravity: tuple[float, float, float] = LEVEL_CAMERA_GRAVITY
     depth_scale_m: float = MILLIMETRE
 
 

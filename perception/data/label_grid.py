@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-IMAGE_SIZE = 512
-GRID_ROWS = 32
-GRID_COLUMNS = 16
-CELL_HEIGHT_PX = IMAGE_SIZE / GRID_ROWS
-CELL_WIDTH_PX = IMAGE_SIZE / GRID_COLUMNS
+from perception.geometry.lines import cell_ends
+from stair_env.common.constants import CELL_HEIGHT_PX, CELL_WIDTH_PX, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
+
 CONVEX = 0  # class of a nosing in label files
 CONCAVE = 1  # class of an inner edge
 MIN_SEGMENT = 0.125  # of a cell: a shorter piece in a corner gives the cell no line of its own
@@ -122,10 +120,7 @@ def decode_grid(cls: np.ndarray, loc: np.ndarray, threshold: float = 0.5) -> np.
         x1 y1 x2 y2, which are equal where the cell holds one line.
     """
     rows, columns = np.nonzero(np.asarray(cls) >= threshold)
-    pieces = np.asarray(loc, dtype=np.float64)[rows, columns].reshape(-1, 2, 2, 2)
-    corner = np.stack([columns, rows], axis=-1)[:, None, None, :]
-    pixels = (pieces + corner) * np.array([CELL_WIDTH_PX, CELL_HEIGHT_PX])
-    return pixels.reshape(-1, 2, 4)
+    return cell_ends(np.asarray(loc, dtype=np.float64)[rows, columns], rows, columns).reshape(-1, 2, 4)
 
 
 def read_label_file(path: str | Path) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from perception.data.label_grid import order_left_first, read_label_file
-from perception.inference.preprocess import IMAGE_SIZE
+from stair_env.common.constants import IMAGE_SIZE
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MILLIMETRE = 0.001

@@ -13,18 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from perception.inference.preprocess import IMAGE_SIZE, letterbox, letterbox_lines
+from perception.inference.preprocess import letterbox, letterbox_lines
+from stair_env.common.constants import IMAGE_SIZE, NOMINAL_GRAVITY_M_S2
 from stair_env.common.validation import check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.sampling import SceneSampler, sample_camera_pose
 from stair_env.scene.spec import Scene, SceneSpec
-from stair_env.sensors.camera.colour_error import ColourErrorModel
-from stair_env.sensors.camera.depth_error import DepthErrorModel
-from stair_env.sensors.camera.labels import MIN_GAP_PX, MIN_LENGTH_PX, LineLabel, visible_edges
-from stair_env.sensors.camera.renderers import Renderer, make_renderer
-from stair_env.sensors.camera.stereo import StereoConfig, StereoDepth
+from stair_env.sensors.camera.labels import LineLabel
+from stair_env.sensors.camera.still import draw_device, draw_labelled, draw_matched
 
-GRAVITY = 9.8  # m/s^2, as the paper's accelerometer reads it
 MOTION_SHARE = 0.3  # of the frames are taken while the camera moves
 MOTION_STD_PX = 2.0  # a trotting robot's 0.3 rad/s over 8 ms at f = 615 px is 1.5 px
 VIEWS: tuple[str, ...] = ("ascending", "descending", "none")
@@ -163,24 +160,12 @@ def photograph(
         stereo_variants: see `FrameConfig`.
         threads: of the ray caster.
     """
-    renderer = make_renderer("raycast", scene, threads=threads)
-    try:
-        frame = renderer.render(intrinsics, camera_to_world)
-        rgb, depth_m = frame.rgb, frame.depth_m
-        if sensor_errors:
-            rgb, depth_m = corrupt(rgb, depth_m, intrinsics, rng)
-        stereo = [match_depth(renderer, camera_to_world, intrinsics, rng) for _ in range(stereo_variants)]
-    finally:
-        renderer.close()
     scale = max(intrinsics.width, intrinsics.height) / IMAGE_SIZE  # camera pixels per pixel of the result
-    labels = visible_edges(
-        scene.edges,
-        intrinsics,
-        camera_to_world,
-        frame,
-        min_length_px=MIN_LENGTH_PX * scale,
-        min_gap_px=MIN_GAP_PX * scale,
-    )
+    frame, labels = draw_labelled(scene, intrinsics, camera_to_world, label_scale=scale, threads=threads)
+    rgb, depth_m = frame.rgb, frame.depth_m
+    if sensor_errors:
+        rgb, depth_m = corrupt(rgb, depth_m, intrinsics, rng)
+    matched = draw_matched(scene, intrinsics, camera_to_world, rng, stereo_variants, threads=threads)
     square_rgb, depth_m = letterbox(rgb, depth_m)
     lines = np.array([(label.x1, label.y1, label.x2, label.y2) for label in labels]).reshape(-1, 4)
     return LabelledFrame(
@@ -191,29 +176,18 @@ def photograph(
         view=view_of(scene, labels),
         lighting=scene.spec.appearance.lighting,
         intrinsics=intrinsics.letterboxed(IMAGE_SIZE),
-        gravity=GRAVITY * camera_to_world[2, :3],
+        gravity=NOMINAL_GRAVITY_M_S2 * camera_to_world[2, :3],
         camera_to_world=camera_to_world,
         scene=scene.spec,
-        stereo_m=tuple(letterbox(rgb, matched)[1] for matched in stereo),
+        stereo_m=tuple(letterbox(rgb, depth)[1] for depth in matched),
     )
-
-
-def match_depth(
-    renderer: Renderer, camera_to_world: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
-) -> np.ndarray:
-    """Depth of a random stereo camera, aligned to colour: float32 (H, W), metres, 0 = no reading."""
-    sensor = StereoDepth(StereoConfig.random(rng))
-    sensor.reset(rng)
-    return sensor.measure(renderer, camera_to_world, intrinsics, rng)
 
 
 def corrupt(
     rgb: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """A clean frame as one random D435i reports it: colour uint8 (H, W, 3), depth float32 (H, W) metres."""
-    depth_model, colour_model = DepthErrorModel(), ColourErrorModel()
-    depth_model.reset(rng)
-    colour_model.reset(rng)
+    depth_model, colour_model = draw_device(rng)
     depth = depth_model.apply(depth_m, rgb, intrinsics, rng)
     moves = rng.random() < MOTION_SHARE
     motion = rng.normal(0.0, MOTION_STD_PX, 2) * moves

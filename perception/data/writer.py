@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import multiprocessing
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ import numpy as np
 from perception.data.label_grid import format_labels
 from perception.data.stair_dataset import read_side_car
 from perception.data.synthetic import DEPTH_UNIT_M, FrameConfig, LabelledFrame, draw_frame
+from stair_env.common.files import atomic_path
 
 SPLITS = ("train", "val", "test")
 IMAGES, DEPTHS, LABELS = "images", "depthes", "labels"  # folder names of the public set
@@ -110,7 +110,7 @@ def _claim(plan: DatasetPlan) -> None:
             raise ValueError(f"{note}: the folder holds another set; choose another --output or the same settings")
         return
     plan.root.mkdir(parents=True, exist_ok=True)
-    _replace(note, json.dumps({"made_by": plan.describe()}, indent=2).encode())
+    _write(note, json.dumps({"made_by": plan.describe()}, indent=2).encode())
 
 
 def complete(plan: DatasetPlan) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def complete(plan: DatasetPlan) -> dict[str, Any]:
         splits[split] = {"images": 2 * len(names), **by_light}
     total = {key: sum(counts[key] for counts in splits.values()) for key in ("images", "day", "night")}
     summary = {**total, "splits": splits}
-    _replace(plan.root / NOTE, json.dumps({"made_by": plan.describe(), **summary}, indent=2).encode())
+    _write(plan.root / NOTE, json.dumps({"made_by": plan.describe(), **summary}, indent=2).encode())
     return summary
 
 
@@ -140,13 +140,13 @@ def _write_job(job: tuple[DatasetPlan, str, int]) -> tuple[str, str]:
 def write_frame(folder: Path, stem: str, frame: LabelledFrame) -> None:
     """Write one frame into a split's folder; the label comes last, so a frame with a label is complete."""
     bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
-    _replace(folder / IMAGES / f"{stem}.jpg", _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
+    _write(folder / IMAGES / f"{stem}.jpg", _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
     for name, depth_m in zip((DEPTHS, *stereo_folders(len(frame.stereo_m))), (frame.depth_m, *frame.stereo_m)):
         millimetres = np.clip(np.rint(depth_m / DEPTH_UNIT_M), 0, 65535).astype(np.uint16)
         png = _encoded(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
-        _replace(folder / name / f"{stem}.png", png)
-    _replace(folder / IMAGES / f"{stem}.json", json.dumps(frame.side_car()).encode())
-    _replace(folder / LABELS / f"{stem}.txt", format_labels(frame.kinds, frame.lines).encode())
+        _write(folder / name / f"{stem}.png", png)
+    _write(folder / IMAGES / f"{stem}.json", json.dumps(frame.side_car()).encode())
+    _write(folder / LABELS / f"{stem}.txt", format_labels(frame.kinds, frame.lines).encode())
 
 
 def stereo_folders(variants: int) -> tuple[str, ...]:
@@ -161,8 +161,6 @@ def _encoded(kind: str, image: np.ndarray, options: list[int]) -> bytes:
     return bytes(data.tobytes())
 
 
-def _replace(path: Path, data: bytes) -> None:
-    """Write so that the file is whole or absent, whenever the process ends."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+def _write(path: Path, data: bytes) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)

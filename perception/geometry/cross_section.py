@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from perception.geometry.line_matching import MAX_RISER_M, MAX_TREAD_M
 from perception.geometry.results import Nosing, StepMeasurement
 from perception.geometry.strip_labels import RISER, TREAD, UNKNOWN
 from perception.geometry.strip_planes import Faces, LineViews
+from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 
 DOWN, UP = -1, 1
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
@@ -137,7 +137,7 @@ def find_drops(section: Section) -> tuple[np.ndarray, np.ndarray]:
     lower = (kind[1:] == TREAD) & (value[1:] < value[:-1])
     treads = np.nonzero((kind[:-1] == TREAD) & (lower | (kind[1:] == UNKNOWN)))[0]
     fall = np.where(lower[treads], value[treads] - value[treads + 1], np.inf)
-    usual = float(fall.min(initial=MAX_RISER_M))
+    usual = float(fall.min(initial=MEASURABLE_RISER_M))
     one_step = fall < (1.0 + MAX_UNEVENNESS) * usual
     return treads, np.where(one_step, value[treads + 1], np.nan)
 
@@ -295,11 +295,13 @@ def _finish(
     far = edges[index + 1] if index + 1 < len(edges) else None
     near = edges[index - 1] if index > 0 else None
     riser = _riser(section, direction, edge, near)
-    if riser is not None and not omega_m <= riser[0] <= MAX_RISER_M:
+    if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
     if tread is not None and (
-        not omega_m <= tread[0] <= MAX_TREAD_M or tread[1] > MAX_TREAD_STD_M or (direction == DOWN and riser is None)
+        not omega_m <= tread[0] <= MEASURABLE_TREAD_M
+        or tread[1] > MAX_TREAD_STD_M
+        or (direction == DOWN and riser is None)
     ):
         tread = None
     return Nosing(

@@ -13,6 +13,7 @@ import numpy as np
 
 from perception.geometry.depth_profile import Profile, ProfileEdge, read_profile
 from perception.geometry.lines import SCORE_THRESHOLD, median
+from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 from stair_env.intrinsics import Intrinsics
 
 IMAGE_WIDTH_PX = 640.0  # of the image for which pixels are given below
@@ -22,7 +23,6 @@ SAMPLE_OFFSET_PX = 4.0  # above and below the line, clear of flying pixels
 EXTENT_SHARE = 0.2  # of the lines' weight that may lie outside the staircase's width: lines on walls and floors
 PIECE_STD_PX = 2.0  # of a cell's prediction, as far as its errors are its own
 WIDEST_M = 5.0  # to either side of the camera, when the extent is unknown
-MAX_RISER_M, MAX_TREAD_M = 0.25, 0.50  # larger is no stair
 SLOPE_STD = 0.01  # of lines drawn after the others' direction, as the yaw from a few lines has it
 
 
@@ -172,7 +172,7 @@ def _connected(edges: tuple[ProfileEdge, ...], confirmed: np.ndarray) -> np.ndar
         for index in order:
             edge, other = edges[index], edges[index - order.step]
             apart = abs(edge.forward_m - other.forward_m), abs(edge.height_m - other.height_m)
-            if connected[index - order.step] and apart[0] < MAX_TREAD_M and apart[1] < MAX_RISER_M:
+            if connected[index - order.step] and apart[0] < MEASURABLE_TREAD_M and apart[1] < MEASURABLE_RISER_M:
                 connected[index] = True
     return connected
 

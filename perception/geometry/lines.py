@@ -14,12 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stair_env.common.constants import CELL_HEIGHT_PX, CELL_WIDTH_PX, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
 from stair_env.intrinsics import letterbox_padding
 
-GRID_ROWS, GRID_COLUMNS = 32, 16  # the paper's output tensors
-NETWORK_SIZE_PX = 512
-CELL_HEIGHT_PX = NETWORK_SIZE_PX // GRID_ROWS
-CELL_WIDTH_PX = NETWORK_SIZE_PX // GRID_COLUMNS
 SCORE_THRESHOLD = 0.5  # the paper's confidence
 
 SAME_LINE_PX = 3.0  # two predictions of a cell closer than this are one line; about three times the detector's jitter
@@ -98,8 +95,7 @@ def decode_cells(cls: np.ndarray, loc: np.ndarray, threshold: float = SCORE_THRE
     if loc.shape != (GRID_ROWS, GRID_COLUMNS, 8):
         raise ValueError(f"loc has shape {loc.shape}, must be {(GRID_ROWS, GRID_COLUMNS, 8)}")
     row, column = np.nonzero(cls >= threshold)
-    ends = np.clip(loc[row, column].reshape(-1, 2, 2, 2), 0.0, 1.0)  # (cells, lines, ends, xy)
-    ends = (ends + np.stack([column, row], axis=-1)[:, None, None, :]) * (CELL_WIDTH_PX, CELL_HEIGHT_PX)
+    ends = cell_ends(np.clip(loc[row, column], 0.0, 1.0), row, column)
     swapped = ends[..., 0, 0] > ends[..., 1, 0]
     ends[swapped] = ends[swapped][:, ::-1]
     ends = ends.reshape(-1, 2, 4)
@@ -109,6 +105,21 @@ def decode_cells(cls: np.ndarray, loc: np.ndarray, threshold: float = SCORE_THRE
     chosen = np.stack([np.ones_like(new_second), new_second], axis=1) & np.isfinite(ends).all(axis=2)
     cell, _ = np.nonzero(chosen)
     return Segments(ends[chosen], column[cell], cls[row, column][cell])
+
+
+def cell_ends(loc: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Coordinates within cells as pixels of the 512 x 512 image.
+
+    Args:
+        loc: (n, 8) float64, two lines a cell, 0..1.
+        row, column: (n,) of the cells.
+
+    Returns:
+        (n, 2, 2, 2) cells, lines, ends, x and y.
+    """
+    corner = np.stack([column, row], axis=-1)[:, None, None, :]
+    pixels: np.ndarray = (loc.reshape(-1, 2, 2, 2) + corner) * (CELL_WIDTH_PX, CELL_HEIGHT_PX)
+    return pixels
 
 
 def _height_above(ends: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -218,7 +229,7 @@ def to_image_pixels(lines: np.ndarray, width: int, height: int) -> np.ndarray:
         (m, 8) float64; lines in the padding, outside the image, are left out.
     """
     left, top, side = letterbox_padding(width, height)
-    scale = side / NETWORK_SIZE_PX
+    scale = side / IMAGE_SIZE
     moved = np.array(lines, dtype=np.float64)
     moved[:, [0, 2]] = lines[:, [0, 2]] * scale - left
     moved[:, 5] = lines[:, 5] * scale - top + lines[:, 4] * left

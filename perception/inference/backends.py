@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from perception.inference.preprocess import IMAGE_SIZE, NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
+from perception.inference.preprocess import NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.inference.weights import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
+from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, IMAGE_SIZE
 from stair_env.common.validation import check_choice
 
 if TYPE_CHECKING:
     from perception.network import StairNetV2
 
-BACKENDS = ("onnx", "torch", "openvino")
-EXPORTED_BACKENDS = ("onnx", "openvino")  # those that read .onnx files
 MAX_BATCH = 8  # frames that torch runs at once: larger batches only push intermediate results out of the cache
 
 

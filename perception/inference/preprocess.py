@@ -10,9 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stair_env.common.constants import IMAGE_SIZE
 from stair_env.intrinsics import letterbox_padding
 
-IMAGE_SIZE = 512
 NEAREST_DEPTH_M = 0.35  # maps to the largest input value; a D435i on a dog sees its own floor from about 0.4 m
 HOLE_NEIGHBOURS = 5  # of 8 that must have a reading: a straight rim of a large hole, with 3, stays where it is
 HOLE_PASSES = 3

@@ -10,13 +10,13 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
 from stair_env.common.files import atomic_path
 
 if TYPE_CHECKING:
     from perception.network import StairNetV2
 
 WEIGHTS_DIR = Path(__file__).resolve().parents[1] / "weights"
-WIDTHS = (1.0, 0.5, 0.25)
 KINDS = ("safetensors", "onnx", "json")
 ONNX_OPSET = 18
 DENSE_UP_TO_WIDTH = 0.25
@@ -34,14 +34,14 @@ def weights_name(width: float) -> str:
     Raises:
         WeightsError: no such width.
     """
-    if width not in WIDTHS:
-        raise WeightsError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+    if width not in NETWORK_WIDTHS:
+        raise WeightsError(f"width={width!r} must be one of {', '.join(map(str, NETWORK_WIDTHS))}")
     return f"stairnetv2_{round(width * 100):03d}"
 
 
 def available_widths(kind: str = "safetensors", folder: Path = WEIGHTS_DIR) -> tuple[float, ...]:
     """Widths whose weights lie in the folder."""
-    return tuple(width for width in WIDTHS if (folder / f"{weights_name(width)}.{kind}").is_file())
+    return tuple(width for width in NETWORK_WIDTHS if (folder / f"{weights_name(width)}.{kind}").is_file())
 
 
 def weights_path(width: float, kind: str = "safetensors", folder: Path = WEIGHTS_DIR) -> Path:
@@ -136,7 +136,6 @@ def export_onnx(network: StairNetV2, path: Path) -> None:
     import torch
 
     from perception.inference.batchnorm_fusion import folded
-    from perception.network import IMAGE_SIZE
 
     # Dense wins on CPUs while groups are few (0.25x: 60 against 68 ms); at 1x it would triple the arithmetic.
     plain = folded(network, dense=network.width <= DENSE_UP_TO_WIDTH)

@@ -23,10 +23,10 @@ from perception.data.label_grid import encode_grid
 from perception.data.stair_dataset import Sample, StairDataset
 from perception.inference.preprocess import colour_input, depth_input
 from perception.learning.presets import TrainingPreset
+from stair_env.common.constants import IMAGE_SIZE
 
 Batch = tuple[Tensor, ...]  # rgb, depth, cls, loc for StairNetV2
 Encoder = Callable[[Sample], tuple[np.ndarray, ...]]  # a frame at full or half size -> input and targets
-FULL_SIZE = 512
 CONDITIONS = ("model", "matched", "colour", "corrupted")  # depth as drawn, matched, none at all, corrupted
 
 
@@ -64,7 +64,7 @@ class GridFrames(Dataset[Batch]):
         self,
         frames: StairDataset,
         augmentation: AugmentationConfig | None,
-        size: int = FULL_SIZE,
+        size: int = IMAGE_SIZE,
         seed: int = 0,
         epoch: int = 0,
         encode: Encoder = as_arrays,
@@ -83,7 +83,7 @@ class GridFrames(Dataset[Batch]):
             rng = np.random.default_rng([self._seed, self._epoch, index])
             sample = self._frames.frame(index, self._depth_folder(rng))
             sample = augment(sample, self._augmentation, rng, lambda: self._other_depth(rng))
-        arrays = self._encode(halved(sample) if self._size < FULL_SIZE else sample)
+        arrays = self._encode(halved(sample) if self._size < IMAGE_SIZE else sample)
         return tuple(torch.from_numpy(array) for array in arrays)
 
     def _conditioned(self, index: int) -> Sample:
@@ -154,7 +154,7 @@ class FrameModule(L.LightningDataModule):
         self.conditions = tuple(c for c in conditions if c != "matched" or self._val.matched_folders)
 
     def _size(self, epoch: int) -> int:
-        return FULL_SIZE // 2 if self._preset.is_small(epoch) else FULL_SIZE
+        return IMAGE_SIZE // 2 if self._preset.is_small(epoch) else IMAGE_SIZE
 
     def train_dataloader(self) -> DataLoader[Batch]:
         """Batches of the current epoch."""

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from perception.inference.weights import WeightsError, load_weights
-from perception.network import WIDTHS, StairNetV2
+from perception.network import StairNetV2
+from stair_env.common.constants import NETWORK_WIDTHS
 
 SELECTIVE_LAYER = "selective.select"  # its outputs are two descriptors after each other, each to be doubled by itself
 
@@ -34,8 +35,10 @@ def widened(network: StairNetV2, width: float, *, jitter: float = 0.05, seed: in
     Raises:
         ValueError: no such width, or a narrower one.
     """
-    if width not in WIDTHS or width < network.width:
-        raise ValueError(f"width={width!r} must be one of {', '.join(str(w) for w in WIDTHS if w >= network.width)}")
+    if width not in NETWORK_WIDTHS or width < network.width:
+        raise ValueError(
+            f"width={width!r} must be one of {', '.join(str(w) for w in NETWORK_WIDTHS if w >= network.width)}"
+        )
     if jitter < 0.0:
         raise ValueError(f"jitter={jitter!r} must be >= 0")
     generator = torch.Generator().manual_seed(seed)
@@ -79,7 +82,7 @@ def load_starting_point(path: str | Path, width: float, fusion_stage: int = 2, s
         WeightsError: the file is missing, no safetensors, or of no such network.
     """
     reason = WeightsError(f"{path}: no widths to try")
-    for candidate in sorted((w for w in WIDTHS if w <= width), reverse=True):
+    for candidate in sorted((w for w in NETWORK_WIDTHS if w <= width), reverse=True):
         try:
             return widened(load_weights(path, candidate, fusion_stage), width, seed=seed)
         except WeightsError as error:

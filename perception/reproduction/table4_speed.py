@@ -21,7 +21,8 @@ import torch
 from perception.inference.backends import BackendError, TorchBackend, make_exported_backend
 from perception.inference.preprocess import colour_input, depth_input
 from perception.inference.weights import available_widths, export_onnx, load_network
-from perception.network import IMAGE_SIZE, StairNetV2, state_dict_megabytes
+from perception.network import StairNetV2, state_dict_megabytes
+from stair_env.common.constants import IMAGE_SIZE
 
 EAGER = "torch_eager"  # the network as trained, called as a notebook would
 PAPER_MB = {1.0: 10.4, 0.5: 2.87, 0.25: 0.95}

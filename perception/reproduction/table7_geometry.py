@@ -18,23 +18,22 @@ import numpy as np
 
 from perception.estimator import StairEstimator
 from perception.geometry.results import StairEstimate
-from perception.inference.backends import BACKENDS
 from perception.reproduction.ideal_detector import IdealDetector
+from stair_env.common.constants import BACKENDS, MEASURED_DETECTORS, NOMINAL_GRAVITY_M_S2
 from stair_env.common.transforms import look_along
 from stair_env.common.validation import check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.sampling import SceneSampler
 from stair_env.scene.paper_stairs import PAPER_STAIRS, PaperStair
 from stair_env.scene.spec import Scene, SceneSpec
-from stair_env.sensors.camera.colour_error import ColourErrorModel
-from stair_env.sensors.camera.depth_error import DepthErrorConfig, DepthErrorModel
+from stair_env.sensors.camera.depth_error import DepthErrorConfig
 from stair_env.sensors.camera.labels import LineLabel, visible_edges
 from stair_env.sensors.camera.renderers.base import Frame
 from stair_env.sensors.camera.renderers.factory import make_renderer
+from stair_env.sensors.camera.still import draw_device
 from stair_env.sensors.imu import Imu, ImuConfig
 from stair_env.stairs import StairProfile, StairSpec, WalkingDirection
 
-NETWORKS = ("stairnet", "ideal")
 DIRECTION_WORDS: dict[WalkingDirection, str] = {"up": "ascending", "down": "descending"}
 MEASURED_STEPS = 3  # the paper evaluates the three steps nearest to the camera
 DISTANCE_M = (0.6, 1.8)  # from the first line, horizontally
@@ -49,7 +48,6 @@ PAPER_RMSE_MM = {"ascending": (6.29, 14.23), "descending": (24.82, 11.40)}  # la
 SCALE_BIAS = 0.005  # a calibrated unit
 SCALE_BIAS_UNCALIBRATED = 0.02  # data sheet
 IMU_SAMPLES = 60  # a quarter of a second at rest
-GRAVITY_M_S2 = 9.8
 IDEAL_JITTER_PX = 0.8  # of an end point; what is left of a line after clustering is far less
 
 
@@ -84,7 +82,7 @@ class MeasureConfig:
     backend: str = "onnx"
 
     def __post_init__(self) -> None:
-        check_choice("network", self.network, NETWORKS)
+        check_choice("network", self.network, MEASURED_DETECTORS)
         check_choice("backend", self.backend, BACKENDS)
         check_choice("mode", self.mode, tuple(D435I_COLOR_MODES))
         check_range("poses", self.poses, 1, 100_000)
@@ -192,12 +190,10 @@ def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsi
         ValueError: no pose is found from which every line of the measured steps is seen.
     """
     pose, frame, labels = _frame_with_steps(spec, scene, rng, intrinsics)
-    depth_model, colour_model = DepthErrorModel(DepthErrorConfig(scale_bias_range=SCALE_BIAS)), ColourErrorModel()
-    depth_model.reset(rng)
-    colour_model.reset(rng)
+    depth_model, colour_model = draw_device(rng, DepthErrorConfig(scale_bias_range=SCALE_BIAS))
     depth = depth_model.apply(frame.depth_m, frame.rgb, intrinsics, rng)
     other_scale = (1.0 + rng.uniform(-1.0, 1.0) * SCALE_BIAS_UNCALIBRATED) / (1.0 + depth_model.scale_bias)
-    still = np.tile(GRAVITY_M_S2 * pose[2, :3], (IMU_SAMPLES, 1))
+    still = np.tile(NOMINAL_GRAVITY_M_S2 * pose[2, :3], (IMU_SAMPLES, 1))
     force, _ = Imu(ImuConfig(), rng).read_many(still, np.zeros_like(still))
     forward = pose[:3, 2]
     return Shot(
@@ -260,7 +256,7 @@ def steps_of(estimate: StairEstimate, profile: StairProfile, camera_x: float) ->
             yield index, step.width_m, step.height_m
 
 
-METHODS: tuple[str, ...] = ("planes", "paper", "planes, scale bias 2 %")
+TABLE_METHODS: tuple[str, ...] = ("planes", "paper", "planes, scale bias 2 %")
 
 
 class _Bench:
@@ -279,9 +275,9 @@ class _Bench:
             self.ideal.show(shot.labels, shot.intrinsics.width, shot.intrinsics.height)
         cls, loc = self.planes.detect(shot.rgb, shot.depth_m)
         ways = {
-            METHODS[0]: (self.planes, shot.depth_m),
-            METHODS[1]: (self.paper, shot.depth_m),
-            METHODS[2]: (self.planes, shot.depth_uncalibrated_m),
+            TABLE_METHODS[0]: (self.planes, shot.depth_m),
+            TABLE_METHODS[1]: (self.paper, shot.depth_m),
+            TABLE_METHODS[2]: (self.planes, shot.depth_uncalibrated_m),
         }
         profile = spec.profile()
         for name, (estimator, depth) in ways.items():
@@ -326,7 +322,7 @@ def run_measurement(config: MeasureConfig, seed: int, on_frame: SupportsProgress
 
 def _summary(config: MeasureConfig, bench: _Bench) -> dict[str, Any]:
     merged: dict[tuple[str, str], Errors] = defaultdict(Errors)
-    by: dict[str, dict[str, Any]] = {name: {} for name in METHODS}
+    by: dict[str, dict[str, Any]] = {name: {} for name in TABLE_METHODS}
     for (name, direction, lighting), errors in bench.errors.items():
         word = DIRECTION_WORDS[direction]  # type: ignore[index]
         by[name][f"{word}, {lighting}"] = {"rmse_mm": errors.rmse_mm(), "coverage": errors.coverage()}
@@ -344,7 +340,7 @@ def _summary(config: MeasureConfig, bench: _Bench) -> dict[str, Any]:
         "backend": config.backend,
         "poses": config.poses,
         "rows": list(_rows(config, merged)),
-        "rmse_mm": {word: merged[METHODS[0], direction].rmse_mm() for direction, word in DIRECTION_WORDS.items()},
+        "rmse_mm": {word: merged[TABLE_METHODS[0], direction].rmse_mm() for direction, word in DIRECTION_WORDS.items()},
         "rmse_mm_by": by,
         "overall": _overall(by),
     }
@@ -368,8 +364,8 @@ def _rows(config: MeasureConfig, merged: dict[tuple[str, str], Errors]) -> Itera
     for stair in config.stairs:
         for direction, word in DIRECTION_WORDS.items():
             for index, true in enumerate(stair.steps_mm):
-                ours = np.array(merged[METHODS[0], direction].measured_mm[stair.name, index]).reshape(-1, 2)
-                paper = np.array(merged[METHODS[1], direction].measured_mm[stair.name, index]).reshape(-1, 2)
+                ours = np.array(merged[TABLE_METHODS[0], direction].measured_mm[stair.name, index]).reshape(-1, 2)
+                paper = np.array(merged[TABLE_METHODS[1], direction].measured_mm[stair.name, index]).reshape(-1, 2)
                 yield {
                     "stair": stair.name,
                     "step": index + 1,

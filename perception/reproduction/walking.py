@@ -14,15 +14,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from perception.inference.backends import BACKENDS
+from stair_env.common.constants import BACKENDS, SCENE_LIGHTINGS, WALK_DRIVERS, WALKING_DIRECTIONS
 from stair_env.common.validation import check_choice, check_range
 from stair_env.observation import STAIR_FIELDS, StairBlock
 from stair_env.robots import get_robot
 from stair_env.scene.paper_stairs import PAPER_STAIRS, PaperStair
+from stair_env.task.block_error import block_error
 
-DRIVERS = ("tracked", "true")
-DIRECTIONS: tuple[Literal["up", "down"], ...] = ("up", "down")
-LIGHTINGS = ("day", "night")
 NUM_STEPS = 6
 RANGE_M = 1.5  # from the front hips to the first edge, from where on the staircase has to be known
 COMPARED = {"width": "step_width", "height": "step_height", "next_edge": "edge_distance"}  # error -> field
@@ -35,7 +33,7 @@ class LiveConfig:
     """Which walks.
 
     Args:
-        drivers: what the gait reads, any of DRIVERS: the tracked staircase, or the true one.
+        drivers: what the gait reads, any of WALK_DRIVERS: the tracked staircase, or the true one.
         flights: walks over each staircase in each direction; day and night in turn.
         width: of StairNetV2.
         backend: of the network, one of `perception.inference.backends.BACKENDS`.
@@ -47,7 +45,7 @@ class LiveConfig:
         SpecError: a field is out of range (a ValueError).
     """
 
-    drivers: tuple[str, ...] = DRIVERS
+    drivers: tuple[str, ...] = WALK_DRIVERS
     flights: int = 4
     width: float = 0.25
     backend: str = "onnx"
@@ -57,7 +55,7 @@ class LiveConfig:
 
     def __post_init__(self) -> None:
         for driver in self.drivers:
-            check_choice("driver", driver, DRIVERS)
+            check_choice("driver", driver, WALK_DRIVERS)
         check_choice("backend", self.backend, BACKENDS)
         check_range("flights", self.flights, 1, 10_000)
         check_range("workers", self.workers, 1, 1000)
@@ -66,7 +64,7 @@ class LiveConfig:
     @property
     def walks(self) -> int:
         """How many flights will be walked."""
-        return len(self.drivers) * len(self.stairs) * len(DIRECTIONS) * self.flights
+        return len(self.drivers) * len(self.stairs) * len(WALKING_DIRECTIONS) * self.flights
 
 
 @dataclass
@@ -77,8 +75,8 @@ class WalkErrors:
         walks, arrived: flights, and those that ended with the robot on the landing.
         counted: control steps in range of the stairs.
         valid: those of them in which the staircase was known.
-        same_edge: those of the valid ones in which tracker and truth speak of the same next edge. Who passes an edge
-            a centimetre late is a whole tread off until then, which says nothing about the distance.
+        same_edge: those of the valid ones in which tracker and truth speak of the same next edge
+            (`stair_env.task.block_error`).
         squared_mm2: by COMPARED; width and height over `valid`, next_edge over `same_edge`.
     """
 
@@ -99,16 +97,14 @@ class WalkErrors:
         if truth["valid"] < 0.5 or truth["edge_distance"] > RANGE_M:
             return
         self.counted += 1
-        tracked = dict(zip(STAIR_FIELDS, block))
-        if tracked["valid"] < 0.5:
+        error = block_error(block, truth)
+        if error is None:
             return
         self.valid += 1
-        errors = np.array([1000.0 * (tracked[name] - truth[name]) for name in COMPARED.values()])
-        if abs(errors[2]) < 500.0 * truth["step_width"]:
-            self.same_edge += 1
-        else:
-            errors[2] = 0.0
-        self.squared_mm2 = errors**2 + (0.0 if self.squared_mm2 is None else self.squared_mm2)
+        self.same_edge += error.same_edge
+        distance = error.edge_distance if error.same_edge else 0.0
+        errors_mm = 1000.0 * np.array([error.step_width, error.step_height, distance])
+        self.squared_mm2 = errors_mm**2 + (0.0 if self.squared_mm2 is None else self.squared_mm2)
 
     def join(self, other: WalkErrors) -> None:
         """Take another's counts in."""
@@ -165,7 +161,7 @@ def run_walks(config: LiveConfig, seed: int, on_done: Callable[[int], Any] | Non
             on_done(config.flights)
     overall: dict[str, WalkErrors] = {}
     for driver in config.drivers:
-        for directions in (("up",), ("down",), DIRECTIONS):
+        for directions in (("up",), ("down",), WALKING_DIRECTIONS):
             total = overall[f"gait on the {driver} stairs, {' and '.join(directions)}"] = WalkErrors()
             for job in jobs:
                 if job.driver == driver and job.direction in directions:
@@ -189,7 +185,7 @@ def walk(env: Any, driver: str, seed: int, options: dict[str, Any]) -> WalkError
 
     Args:
         env: a "stair_env/StairClimbPerception-v0".
-        driver: what the gait reads, one of DRIVERS.
+        driver: what the gait reads, one of WALK_DRIVERS.
         seed: of the episode.
         options: of `env.reset`.
     """
@@ -210,7 +206,7 @@ def walk(env: Any, driver: str, seed: int, options: dict[str, Any]) -> WalkError
 def _jobs(config: LiveConfig, seed: int) -> list[_Job]:
     jobs = []
     for driver in config.drivers:
-        for index, direction in enumerate(DIRECTIONS):
+        for index, direction in enumerate(WALKING_DIRECTIONS):
             for number, stair in enumerate(config.stairs):
                 words = np.random.SeedSequence([seed, index, number]).generate_state(config.flights)
                 jobs.append(_Job(config, driver, stair, direction, tuple(map(int, words))))
@@ -236,7 +232,7 @@ def _run_job(job: _Job) -> WalkErrors:
     total = WalkErrors()
     estimator = {"width": job.config.width, "backend": job.config.backend}
     options = {"stairs": asdict(job.stair.spec(job.direction, NUM_STEPS))}
-    for lighting, seeds in zip(LIGHTINGS, (job.seeds[::2], job.seeds[1::2])):
+    for lighting, seeds in zip(SCENE_LIGHTINGS, (job.seeds[::2], job.seeds[1::2])):
         env = gym.make(
             "stair_env/StairClimbPerception-v0",
             disable_env_checker=True,

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from stair_env.common.constants import LEVEL_CAMERA_GRAVITY, NOMINAL_GRAVITY_M_S2
 from stair_env.onboard.attitude import AttitudeFilter
 
 IMU_RATE_HZ = 240.0
 AVERAGING_S = 0.8  # two strides of a trot; with the gain: measured on walking robots, docs/measuring.md
 GAIN = 0.4  # balances the gyro's bias (0.0025 rad/s / gain) against what the average lets through
 REJECT_NOTHING_DEG = 90.0  # the average has no outliers to reject
-GRAVITY_M_S2 = 9.8  # of the reported vector; only its direction is used
 
 
 class CameraAttitude:
@@ -56,7 +56,7 @@ class CameraAttitude:
         samples = samples[np.isfinite(samples).all(axis=1)]
         if len(samples) and not self._started:
             self._filter.reset(samples[:, :3].mean(axis=0))
-            self._level_force = np.array([0.0, 0.0, GRAVITY_M_S2])
+            self._level_force = np.array([0.0, 0.0, NOMINAL_GRAVITY_M_S2])
             self._started = True
         for sample in samples:
             self._take(sample)
@@ -71,5 +71,5 @@ class CameraAttitude:
     def gravity(self) -> np.ndarray:
         """(3,) what an accelerometer at rest would read now, m/s^2; level before the first sample."""
         if not self._started:
-            return np.array([0.0, -GRAVITY_M_S2, 0.0])
-        return GRAVITY_M_S2 * self._filter.up
+            return np.array(LEVEL_CAMERA_GRAVITY)
+        return NOMINAL_GRAVITY_M_S2 * self._filter.up

@@ -15,11 +15,9 @@ import numpy as np
 from perception.geometry.results import Nosing, StairEstimate
 from perception.tracking.nosing_filter import NosingMap
 from perception.tracking.pose_history import PlanarOdometry, PlanarPose
-from stair_env.common.transforms import look_along
 from stair_env.common.validation import check_range
 from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.onboard.attitude import base_to_level
-from stair_env.robots import RobotSpec
 
 MAX_GAP_TREADS = 1.6  # between nosings of one flight, beyond which the far one needs proof
 # Going down, no nosing nearer than this to the camera was missed beyond the farthest one measured, on 1500 of them.
@@ -86,11 +84,6 @@ class CameraPlacement:
     left_m: float
     heading_rad: float
     ground_m: float | None = None
-
-
-def mounted_camera_to_base(robot: RobotSpec) -> np.ndarray:
-    """(4, 4) camera_to_base of a robot's nominal mount."""
-    return look_along(np.asarray(robot.camera.position), 0.0, robot.camera.pitch_down_rad)
 
 
 def place_camera(

@@ -14,11 +14,12 @@ from policies import pretrained
 from policies.make_env import PERCEPTION_ID, make_env
 from policies.report.film import Film, open_video
 from policies.rollout import Episode, measurement_summary, run_episode
+from stair_env.common.constants import DEMO_LIGHTINGS, EPISODE_DIRECTIONS
 from stair_env.common.validation import check_choice
 
 MAX_STEPS = 720  # 15 s; a flight takes about 7
-LIGHTINGS = {"day": ("day",), "night": ("night",), "both": ("day", "night")}
-DIRECTIONS = {"up": ("up",), "down": ("down",), "both": ("up", "down")}
+_LIGHTINGS = {"day": ("day",), "night": ("night",), "both": ("day", "night")}
+_DIRECTIONS = {"up": ("up",), "down": ("down",), "both": ("up", "down")}
 
 
 @dataclass(frozen=True)
@@ -50,14 +51,14 @@ class DemoConfig:
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_choice("direction", self.direction, tuple(DIRECTIONS))
-        check_choice("lighting", self.lighting, tuple(LIGHTINGS))
+        check_choice("direction", self.direction, EPISODE_DIRECTIONS)
+        check_choice("lighting", self.lighting, DEMO_LIGHTINGS)
         if self.episodes < 1:
             raise ValueError(f"episodes={self.episodes!r} must be >= 1")
 
     def flight(self, index: int) -> dict[str, Any]:
         """Direction and lighting of a flight: directions change first, then the light."""
-        directions, lightings = DIRECTIONS[self.direction], LIGHTINGS[self.lighting]
+        directions, lightings = _DIRECTIONS[self.direction], _LIGHTINGS[self.lighting]
         return {
             "direction": directions[index % len(directions)],
             "lighting": lightings[index // len(directions) % len(lightings)],

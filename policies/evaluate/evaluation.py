@@ -21,10 +21,11 @@ import gymnasium as gym
 import numpy as np
 
 from policies.evaluate.episode_log import EpisodeLog, Key
-from policies.evaluate.stair_sets import DIRECTIONS, GRID_RISERS_M, GRID_TREADS_M, Cell, make_cells
+from policies.evaluate.stair_sets import GRID_RISERS_M, GRID_TREADS_M, Cell, make_cells
 from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
-from policies.rollout import GRAVITY, Episode, Predictor, ZeroAction, measurement_summary, run_episode
+from policies.rollout import Episode, Predictor, ZeroAction, measurement_summary, run_episode
 from policies.statistics import wilson_interval
+from stair_env.common.constants import EVALUATION_SOURCES, GRAVITY_M_S2, WALKING_DIRECTIONS
 from stair_env.common.validation import check_choice
 from stair_env.physics.simulation import CONTROL_DT
 from stair_env.robots import get_robot
@@ -49,7 +50,7 @@ class Source:
     perceived: bool = False
 
 
-SOURCES: dict[str, Source] = {
+SOURCE_SETUPS: dict[str, Source] = {
     "oracle": Source(CLIMB_ID, {"stair_source": "oracle"}),
     "stairnet": Source(PERCEPTION_ID, perceived=True),
     "noisy": Source(CLIMB_ID, {"stair_source": "noisy"}, perceived=True),
@@ -67,7 +68,7 @@ class EvaluationConfig:
         policy: shipped name or folder of the policy that sees; None where only the gait walks.
         blind_policy: the same for the policy trained without sight.
         robot: which robot.
-        sources: names in SOURCES.
+        sources: names in EVALUATION_SOURCES.
         stairs: "paper", "grid" or "random".
         directions: any of "up", "down".
         risers, treads: of the grid, metres.
@@ -86,7 +87,7 @@ class EvaluationConfig:
     robot: str = "aliengo"
     sources: Sequence[str] = ("oracle", "gait")
     stairs: str = "paper"
-    directions: Sequence[str] = DIRECTIONS
+    directions: Sequence[str] = WALKING_DIRECTIONS
     risers: Sequence[float] = GRID_RISERS_M
     treads: Sequence[float] = GRID_TREADS_M
     episodes: int = 10
@@ -97,15 +98,15 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         if not self.sources:
-            raise ValueError(f"sources is empty, choose from {', '.join(SOURCES)}")
+            raise ValueError(f"sources is empty, choose from {', '.join(EVALUATION_SOURCES)}")
         for name in self.sources:
-            check_choice("source", name, tuple(SOURCES))
+            check_choice("source", name, EVALUATION_SOURCES)
         for name in ("episodes", "workers"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
         get_robot(self.robot)
         self.cells()
-        actors = {SOURCES[name].actor for name in self.sources}
+        actors = {SOURCE_SETUPS[name].actor for name in self.sources}
         if "policy" in actors and self.policy is None:
             raise ValueError(f"policy=None: sources {', '.join(self.sources)} need a policy")
         if "blind" in actors and self.blind_policy is None:
@@ -193,13 +194,13 @@ def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
     cells = config.cells()
     mass = get_robot(config.robot).mass
     rows = [
-        _describe_cell(source, cells[index]) | summarise(episodes, SOURCES[source].perceived, mass)
+        _describe_cell(source, cells[index]) | summarise(episodes, SOURCE_SETUPS[source].perceived, mass)
         for (source, index), episodes in records.items()
     ]
     overall = {}
     for source in config.sources:
         everything = [episode for index in range(len(cells)) for episode in records[source, index]]
-        overall[source] = summarise(everything, SOURCES[source].perceived, mass)
+        overall[source] = summarise(everything, SOURCE_SETUPS[source].perceived, mass)
     return {"cells": rows, "overall": overall}
 
 
@@ -239,8 +240,8 @@ def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
     """All work in chunks; the slow sources first, so that no worker is left with them at the end."""
     actors = {"policy": config.policy, "blind": config.blind_policy, "gait": None}
     jobs = []
-    for name in sorted(config.sources, key=lambda name: SOURCES[name].env_id != PERCEPTION_ID):
-        source = SOURCES[name]
+    for name in sorted(config.sources, key=lambda name: SOURCE_SETUPS[name].env_id != PERCEPTION_ID):
+        source = SOURCE_SETUPS[name]
         common = {"robot": config.robot, "lighting": config.lighting, **config.env_kwargs, **source.env_kwargs}
         for index, cell in enumerate(cells):
             seeds = episode_seeds(config.seed, index, config.episodes)
@@ -270,7 +271,8 @@ def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> d
         "steps_climbed_fraction": climbed / max(sum(episode.num_steps for episode in episodes), 1),
         "riser_hits_per_step": sum(episode.riser_hits for episode in episodes) / max(climbed, 1),
         "time_s": float(np.mean(times)) if times else None,
-        "cost_of_transport": sum(episode.energy_j for episode in episodes) / (mass_kg * GRAVITY * max(walked, 1e-6)),
+        "cost_of_transport": sum(episode.energy_j for episode in episodes)
+        / (mass_kg * GRAVITY_M_S2 * max(walked, 1e-6)),
         "terminations": dict(sorted(Counter(episode.termination for episode in episodes).items())),
     }
     if perceived:

@@ -7,11 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from stair_env.common.constants import RISER_RANGE_M, STAIR_SETS, TREAD_RANGE_M, WALKING_DIRECTIONS
 from stair_env.common.validation import check_choice, check_range
 from stair_env.scene.paper_stairs import PAPER_STAIRS
-from stair_env.stairs import RISER_RANGE_M, TREAD_RANGE_M
 
-DIRECTIONS = ("up", "down")
 NUM_STEPS = 6
 GRID_RISERS_M = (0.08, 0.11, 0.14, 0.17)
 GRID_TREADS_M = (0.25, 0.30, 0.35)
@@ -60,12 +59,9 @@ def _random(direction: str) -> list[Cell]:
     return [Cell(direction, RANDOM_RISER_M, RANDOM_TREAD_M, RANDOM_NUM_STEPS)]
 
 
-STAIR_SETS = ("paper", "grid", "random")
-
-
 def make_cells(
     stairs: str,
-    directions: Iterable[str] = DIRECTIONS,
+    directions: Iterable[str] = WALKING_DIRECTIONS,
     risers: Sequence[float] = GRID_RISERS_M,
     treads: Sequence[float] = GRID_TREADS_M,
 ) -> list[Cell]:
@@ -82,7 +78,7 @@ def make_cells(
     check_choice("stairs", stairs, STAIR_SETS)
     cells: list[Cell] = []
     for direction in directions:
-        check_choice("direction", direction, DIRECTIONS)
+        check_choice("direction", direction, WALKING_DIRECTIONS)
         if stairs == "paper":
             cells.extend(_paper(direction))
         elif stairs == "random":

@@ -6,7 +6,7 @@ import copy
 from pathlib import Path
 from typing import Any
 
-ALGORITHMS = ("ppo", "sac")
+from stair_env.common.constants import ALGORITHMS
 
 
 def load_hyperparams(algorithm: str, env_id: str, path: Path | str | None = None) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 # Columns are the camera's x (right), y (down) and z (forward) in a body frame of x forward, y left, z up.
 _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -23,6 +22,8 @@ def look_along(position: np.ndarray, yaw_rad: float, pitch_down_rad: float, roll
     Returns:
         (4, 4) float64.
     """
+    from scipy.spatial.transform import Rotation  # 0.1 s that a worker without a camera does not need
+
     body = Rotation.from_euler("ZYX", [yaw_rad, pitch_down_rad, roll_rad]).as_matrix()
     transform = np.eye(4)
     transform[:3, :3] = body @ _BODY_FROM_CAMERA

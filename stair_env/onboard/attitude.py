@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
+from stair_env.common.constants import STANDARD_GRAVITY_M_S2
 from stair_env.common.pickling import PicklesByArguments
 from stair_env.physics.body_kernels import level_turn
 
-STANDARD_GRAVITY = 9.80665  # m/s² per g
 DEGREES_PER_RADIAN = 180.0 / math.pi
 
 
@@ -71,7 +71,7 @@ class AttitudeFilter(PicklesByArguments):
         # The library computes in single precision; handing it over spares a conversion per call.
         degrees, in_g = (
             (gyro * DEGREES_PER_RADIAN).astype(np.float32),
-            (accelerometer / STANDARD_GRAVITY).astype(np.float32),
+            (accelerometer / STANDARD_GRAVITY_M_S2).astype(np.float32),
         )
         for rate, force in zip(degrees, in_g):
             update(rate, force)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from stair_env.onboard.attitude import STANDARD_GRAVITY
+from stair_env.common.constants import STANDARD_GRAVITY_M_S2
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.physics.body_kernels import displacement
 from stair_env.robots import RobotSpec
@@ -63,7 +63,7 @@ class LegOdometry:
         """
         cos, sin = math.cos(yaw_change), math.sin(yaw_change)
         x, y, z = self._velocity
-        velocity = np.array([cos * x + sin * y, cos * y - sin * x, z - STANDARD_GRAVITY * dt])
+        velocity = np.array([cos * x + sin * y, cos * y - sin * x, z - STANDARD_GRAVITY_M_S2 * dt])
         velocity += (base_to_level @ specific_force) * dt
         stance = self._kinematics.stance(joint_angles, base_to_level)
         if self._last_stance is not None:

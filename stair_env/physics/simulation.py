@@ -18,11 +18,11 @@ import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
+from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.physics.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
 from stair_env.robots import NUM_JOINTS, RobotSpec
 from stair_env.scene.shapes import Shape
 
-GRAVITY = 9.81  # m/s²
 PHYSICS_RATE_HZ = 240
 SUBSTEPS = 5
 CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
@@ -146,7 +146,7 @@ class Simulation:
         client = self.client
         client.resetSimulation()
         client.setAdditionalSearchPath(pybullet_data.getDataPath())
-        client.setGravity(0, 0, -GRAVITY)
+        client.setGravity(0, 0, -GRAVITY_M_S2)
         client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
         client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self.ground = [self._add_shape(shape, friction) for shape in shapes]

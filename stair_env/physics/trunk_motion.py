@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.physics.body_kernels import TRACK_WIDTH, feel
-from stair_env.physics.simulation import GRAVITY, PHYSICS_RATE_HZ, BaseState, BaseTrack
+from stair_env.physics.simulation import PHYSICS_RATE_HZ, BaseState, BaseTrack
 
 AT_ORIGIN, ALONG_BASE = np.zeros(3), np.eye(3)  # a sensor in the base's origin with the base's axes
 
@@ -40,7 +41,7 @@ class MotionRecorder:
             sensor's axes. At rest and level the force points up with 9.81 m/s².
         """
         felt: np.ndarray = feel(
-            self._start_row, self._rows, lever_arm, sensor_to_base.ravel(), float(PHYSICS_RATE_HZ), GRAVITY
+            self._start_row, self._rows, lever_arm, sensor_to_base.ravel(), float(PHYSICS_RATE_HZ), GRAVITY_M_S2
         )
         return felt
 

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from stair_env.common.constants import SCENE_LIGHTINGS
 from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_range, from_fields
 from stair_env.scene.shapes import Vector3
 from stair_env.scene.textures import MATERIALS, Texture, make_texture
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 Lighting = Literal["day", "night"]
 
-LIGHTINGS: tuple[str, ...] = ("day", "night")
 SURFACES: tuple[str, ...] = ("step", "floor", "wall", "ceiling", "rail", "stringer", "nosing", "robot")
 DISTRACTOR_PREFIX = "distractor:"  # "distractor:KIND" or "distractor:KIND:INDEX", INDEX into the palette
 WHITE: Vector3 = (1.0, 1.0, 1.0)
@@ -164,7 +164,7 @@ class AppearanceSpec(JsonSpec):
     sky_zenith: Vector3 = (0.25, 0.45, 0.8)
 
     def __post_init__(self) -> None:
-        check_choice("lighting", self.lighting, LIGHTINGS)
+        check_choice("lighting", self.lighting, SCENE_LIGHTINGS)
         if not self.distractors:
             raise SpecError("distractors=() must hold at least one look")
         object.__setattr__(self, "distractors", tuple(self.distractors))

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from stair_env.common.constants import GRAVITY_M_S2, STANDARD_GRAVITY_M_S2
 from stair_env.common.validation import SpecError, check_choice, check_range, from_fields
 from stair_env.physics.body_kernels import digitise
 
-GRAVITY_M_S2 = 9.81
-STANDARD_GRAVITY_M_S2 = 9.80665  # one g of the sensor's range
 IMU_PRESETS: tuple[str, ...] = ("d435i", "ideal")
 # Where the sensor sits in the frame of the colour camera, metres (extrinsics read from a device, realsense-ros issue
 # 2788: -5.5, 5.1, 11.7 mm from the left imager, which is 15 mm right of the colour imager).

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from stair_env.common.constants import RISER_RANGE_M
 from stair_env.common.validation import check_range, from_mapping
-from stair_env.stairs import RISER_RANGE_M
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.observation import STAIR_FIELDS, STAIR_HIGH, STAIR_LOW, StairBlock
+from stair_env.observation import STAIR_FIELDS, STAIR_HIGH, STAIR_LOW, StairBlock, name_slices
 from stair_env.physics.simulation import BaseState, FootContacts
 from stair_env.stairs import StairProfile
 from stair_env.task.randomization import Body
@@ -30,15 +30,9 @@ _BOUND = np.concatenate([np.full(length, bound, np.float32) for length, bound in
 PRIVILEGED_LOW, PRIVILEGED_HIGH = np.concatenate([STAIR_LOW, -_BOUND]), np.concatenate([STAIR_HIGH, _BOUND])
 
 
-def _slices() -> dict[str, slice]:
-    found, start = {"stair": slice(0, len(STAIR_FIELDS))}, len(STAIR_FIELDS)
-    for name, (length, _) in PRIVILEGED_FIELDS.items():
-        found[name] = slice(start, start + length)
-        start += length
-    return found
-
-
-PRIVILEGED_SLICES = _slices()
+PRIVILEGED_SLICES = name_slices(
+    {"stair": len(STAIR_FIELDS), **{name: length for name, (length, _) in PRIVILEGED_FIELDS.items()}}
+)
 
 
 class Truth(NamedTuple):

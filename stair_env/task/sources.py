@@ -19,6 +19,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from stair_env.common.constants import BLOCK_SOURCES
 from stair_env.common.validation import check_choice
 from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.stairs import StairProfile, StairSpec
@@ -227,7 +228,7 @@ class ExternalSource:
         return self._block
 
 
-SOURCES: dict[str, type] = {
+_SOURCE_CLASSES: dict[str, type] = {
     "oracle": OracleSource,
     "noisy": NoisySource,
     "blind": BlindSource,
@@ -242,8 +243,8 @@ def make_source(name: str) -> StairSource:
     Raises:
         SpecError: the name is unknown; the message lists the choices.
     """
-    check_choice("stair_source", name, tuple(SOURCES))
-    source: StairSource = SOURCES[name]()
+    check_choice("stair_source", name, BLOCK_SOURCES)
+    source: StairSource = _SOURCE_CLASSES[name]()
     return source
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stair_env.common.constants import EPISODE_DIRECTIONS, RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M
 from stair_env.common.validation import SpecError, as_range, check_choice, check_range
-from stair_env.stairs import RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M, StairSpec
+from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import Curriculum
 
-ENV_DIRECTIONS = ("up", "down", "both")
-LIGHTINGS = ("day", "night", "random")
 Range = tuple[float, float]
 
 
@@ -35,7 +34,7 @@ class StairRanges:
     uneven: float = 0.0
 
     def __post_init__(self) -> None:
-        check_choice("direction", self.direction, ENV_DIRECTIONS)
+        check_choice("direction", self.direction, EPISODE_DIRECTIONS)
         object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))
         object.__setattr__(self, "tread_depth", as_range("tread_depth", self.tread_depth, *TREAD_RANGE_M))
         steps = as_range("num_steps", self.num_steps, *STEP_COUNT_RANGE)

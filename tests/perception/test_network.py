@@ -4,12 +4,12 @@ import torch
 from perception.inference.batchnorm_fusion import folded
 from perception.network import (
     FUSION_STAGES,
-    WIDTHS,
     GroupedConv3x3,
     SelectiveModule,
     StairNetV2,
     state_dict_megabytes,
 )
+from stair_env.common.constants import NETWORK_WIDTHS
 
 PAPER_MEGABYTES = {1.0: 10.4, 0.5: 2.87, 0.25: 0.95}  # table 4
 
@@ -29,7 +29,7 @@ def shaken(network: StairNetV2) -> StairNetV2:
     return network
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", NETWORK_WIDTHS)
 def test_size_is_that_of_table_4(width):
     assert state_dict_megabytes(StairNetV2(width)) == pytest.approx(PAPER_MEGABYTES[width], rel=0.04)
 

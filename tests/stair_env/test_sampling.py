@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stair_env.common.transforms import look_along
 from stair_env.common.validation import SpecError
 from stair_env.sampling import Scene, SceneSampler, SceneSpec, sample_camera_pose
 from stair_env.scene.appearance import AppearanceSpec, NosingStrip
@@ -175,14 +174,6 @@ def test_scene_begins_with_the_stairs_and_ends_with_the_distractors():
     surfaces = [shape.surface for shape in Scene(spec).shapes]
     assert surfaces[0] == "floor"
     assert surfaces[-1].startswith("distractor:bench")
-
-
-@pytest.mark.parametrize("pitch", [0.0, 0.4])
-def test_look_along_points_where_it_says(pitch):
-    pose = look_along(np.array([1.0, 2.0, 3.0]), 0.0, pitch)
-    assert pose[:3, 2] == pytest.approx([math.cos(pitch), 0.0, -math.sin(pitch)])
-    assert pose[:3, 0] == pytest.approx([0.0, -1.0, 0.0])
-    assert pose[:3, 3] == pytest.approx([1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from stair_env.common.markdown import format_value, markdown_table
 from stair_env_cli.results_page import describe_file, write_page
 
 CONTENT = {
@@ -42,15 +41,6 @@ def test_page_holds_tables_and_provenance(tmp_path: Path) -> None:
     ):
         assert part in text
     assert "terminations" not in text and "- policy: aliengo" in text
-
-
-def test_rows_with_different_columns_line_up() -> None:
-    lines = markdown_table([{"a": 1}, {"b": 2.0}]).splitlines()
-    assert lines == ["| a | b |", "|---|---|", "| 1 |  |", "|  | 2 |"]
-
-
-def test_cells_cannot_break_the_table() -> None:
-    assert format_value("a|b") == "a\\|b" and format_value({"w": 1.23456}) == "w 1.235"
 
 
 def test_broken_files_are_named(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from perception.data.label_grid import IMAGE_SIZE
 from perception.inference.preprocess import colour_input
 from perception.reproduction.baselines.classical import ClassicalDetector, ClassicalParameters, merge_lines
+from stair_env.common.constants import IMAGE_SIZE
 
 if TYPE_CHECKING:
     from perception.reproduction.baselines.region_network import RoiNetwork

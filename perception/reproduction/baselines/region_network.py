@@ -14,6 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stair_env.common.constants import IMAGE_SIZE
+
 STRIDES = (8, 16, 32)
 ANCHORS_PER_CELL = 3
 VALUES = 5  # x, y, width, height, objectness
@@ -24,12 +26,11 @@ ANCHORS_PX = (
     ((467, 89), (310, 141), (512, 159)),
     ((347, 260), (512, 233), (512, 332)),
 )
-IMAGE_SIZE = 512
 CHANNELS = (64, 128, 256, 512, 1024)  # at width 1; stem and the four stages
 BACKBONE_REPEATS = (3, 6, 9, 3)  # bottlenecks in each stage's CSP block, at depth 1
 NECK_REPEATS = 3
 DEPTH = 0.33  # YOLOv5's depth multiple of its small and nano sizes
-WIDTHS = (1.0, 0.5, 0.25)  # the large, small and nano widths
+REGION_WIDTHS = (1.0, 0.5, 0.25)  # the large, small and nano widths
 POOL = 5  # pixels, of the pyramid pooling
 NORM_EPS, NORM_MOMENTUM = 1e-3, 0.03
 FOUND_PER_IMAGE = 1.0  # objects an image is expected to hold, for the first objectness
@@ -127,8 +128,8 @@ class RoiNetwork(nn.Module):
 
     def __init__(self, width: float = 0.25) -> None:
         super().__init__()
-        if width not in WIDTHS:
-            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+        if width not in REGION_WIDTHS:
+            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, REGION_WIDTHS))}")
         self.width = float(width)
         stem, first, fine, middle, coarse = (int(channels * width) for channels in CHANNELS)
         repeats = [max(round(count * DEPTH), 1) for count in BACKBONE_REPEATS]

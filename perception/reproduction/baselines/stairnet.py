@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from perception.data.label_grid import GRID_COLUMNS, GRID_ROWS, encode_grid
+from perception.data.label_grid import encode_grid
 from perception.inference.backends import as_grids, check_batch
 from perception.inference.batchnorm_fusion import folded
 from perception.inference.preprocess import colour_input
@@ -27,13 +27,13 @@ from perception.network import (
     NECK_CHANNELS,
     STAGE_1_DILATIONS,
     STEM_CHANNELS,
-    WIDTHS,
     Bottleneck,
     ConvNormAct,
     Focus,
     Head,
     start_blocks_as_shortcuts,
 )
+from stair_env.common.constants import GRID_COLUMNS, GRID_ROWS, NETWORK_WIDTHS
 from stair_env.common.validation import check_choice
 
 BACKGROUND, CONVEX_CELL, CONCAVE_CELL = 0, 1, 2  # classes of a cell
@@ -118,8 +118,8 @@ class StairNet(nn.Module):
 
     def __init__(self, width: float = 1.0) -> None:
         super().__init__()
-        if width not in WIDTHS:
-            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, WIDTHS))}")
+        if width not in NETWORK_WIDTHS:
+            raise ValueError(f"width={width!r} must be one of {', '.join(map(str, NETWORK_WIDTHS))}")
         self.width = float(width)
         stem, groups = int(STEM_CHANNELS * width), int(CARDINALITY * width)
         first, second, third = (int(channels * width) for channels in STAGE_CHANNELS)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stair_env.common.constants import CAMERA_MODES, DEPTH_SOURCES
 from stair_env.common.validation import SpecError, check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.scene.shapes import Shape
@@ -21,8 +22,6 @@ from stair_env.sensors.camera.renderers.factory import RENDERERS
 from stair_env.sensors.camera.stereo import StereoConfig, StereoDepth
 
 PRESETS: tuple[str, ...] = ("d435i", "ideal")
-DEPTH_SOURCES: tuple[str, ...] = ("model", "stereo")
-CAMERA_MODES: tuple[str, ...] = tuple(D435I_COLOR_MODES)
 MovingShapes = Sequence[Shape] | Callable[[], Sequence[Shape]]
 
 _TIME_TOLERANCE_S = 1e-6  # sums of control steps miss the frame grid by rounding

@@ -7,8 +7,6 @@ import pytest
 
 from perception.data.label_grid import encode_grid
 from perception.geometry.lines import (
-    GRID_COLUMNS,
-    GRID_ROWS,
     LINE_FIELDS,
     SAME_LINE_PX,
     Segments,
@@ -19,6 +17,7 @@ from perception.geometry.lines import (
     median,
     to_image_pixels,
 )
+from stair_env.common.constants import GRID_COLUMNS, GRID_ROWS
 
 K, B, SCORE, SUPPORT = (LINE_FIELDS.index(name) for name in ("k", "b", "score", "support"))
 

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from perception.inference.backends import (
-    BACKENDS,
     BackendError,
     OnnxBackend,
     OpenVinoBackend,
@@ -17,7 +16,6 @@ from perception.inference.backends import (
 )
 from perception.inference.detector import NetworkDetector
 from perception.inference.weights import (
-    WIDTHS,
     WeightsError,
     available_widths,
     load_network,
@@ -27,6 +25,7 @@ from perception.inference.weights import (
     weights_path,
 )
 from perception.network import StairNetV2
+from stair_env.common.constants import NETWORK_WIDTHS
 
 needs_openvino = pytest.mark.skipif(importlib.util.find_spec("openvino") is None, reason="openvino is not installed")
 
@@ -145,12 +144,6 @@ def test_without_openvino_the_error_says_how_to_install_it(saved, monkeypatch):
         make_exported_backend("openvino", weights_path(0.25, "onnx", saved[0]))
 
 
-def test_the_command_line_offers_every_backend():
-    from stair_env_cli import arguments
-
-    assert arguments.BACKENDS == BACKENDS
-
-
 def test_export_command_writes_the_same_network(saved, frames, tmp_path):
     from stair_env_cli.main import main
 
@@ -209,7 +202,7 @@ def test_onnx_path_does_not_import_torch(saved):
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", NETWORK_WIDTHS)
 def test_shipped_weights_load(width):
     network = load_network(width)
     rgb, depth = np.zeros((1, 512, 512, 3), np.uint8), np.full((1, 512, 512), 2.0, np.float32)

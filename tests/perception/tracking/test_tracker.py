@@ -14,12 +14,11 @@ from perception.tracking.tracker import (
     CameraPlacement,
     StairTracker,
     TrackerConfig,
-    mounted_camera_to_base,
     place_camera,
 )
 from stair_env.common.validation import SpecError
 from stair_env.observation import NO_STAIRS, StairBlock
-from stair_env.robots import ROBOTS
+from stair_env.robots import ROBOTS, mount_to_base
 from stair_env.stairs import StairProfile, StairSpec
 
 HIP = 0.24
@@ -284,7 +283,7 @@ def test_nan_odometry_is_ignored() -> None:
 
 def test_camera_placement_follows_pitch_and_roll() -> None:
     robot = ROBOTS["aliengo"]
-    mount = mounted_camera_to_base(robot)
+    mount = mount_to_base(robot.camera)
     level = place_camera(mount, mount[:3, :3].T @ np.array([0.0, 0.0, 9.8]))
     assert level.forward_m == pytest.approx(robot.camera.position[0])
     assert level.heading_rad == pytest.approx(0.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from policies.evaluate.evaluation import (
-    SOURCES,
+    SOURCE_SETUPS,
     EvaluationConfig,
     count_episodes,
     episode_seeds,
@@ -24,6 +24,7 @@ from policies.evaluate.stair_sets import make_cells
 from policies.make_env import CLIMB_ID, make_env
 from policies.report.film import HOLD_FRAMES
 from policies.rollout import Episode, ZeroAction, run_episode
+from stair_env.common.constants import EVALUATION_SOURCES
 
 ERRORS_MM2 = {"width": 50.0, "height": 200.0, "distance": 0.0, "same_edge_distance": 225.0}
 SHORT = {"max_episode_steps": 20}
@@ -85,7 +86,7 @@ def test_sources_share_their_episodes() -> None:
     """Same staircase, start and body for each source: the pairs are pairs."""
     starts = []
     for name in ("oracle", "noisy", "blind", "shuffled"):
-        env = make_env(CLIMB_ID, {"direction": "both", **SOURCES[name].env_kwargs}, monitor=False)
+        env = make_env(CLIMB_ID, {"direction": "both", **SOURCE_SETUPS[name].env_kwargs}, monitor=False)
         observation, info = env.reset(seed=5)
         truth = info["truth"]
         starts.append(
@@ -97,11 +98,11 @@ def test_sources_share_their_episodes() -> None:
 
 
 def test_jobs_cover_each_pair_once() -> None:
-    config = EvaluationConfig("p", "b", sources=tuple(SOURCES), stairs="grid", episodes=7)
+    config = EvaluationConfig("p", "b", sources=EVALUATION_SOURCES, stairs="grid", episodes=7)
     cells = make_cells("grid")
     jobs = plan_jobs(config, cells)
     assert jobs[0].source == "stairnet"
-    for source in SOURCES:
+    for source in EVALUATION_SOURCES:
         for index in range(len(cells)):
             seeds = [seed for job in jobs if (job.source, job.cell_index) == (source, index) for seed in job.seeds]
             assert seeds == episode_seeds(0, index, 7)

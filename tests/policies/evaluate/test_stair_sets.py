@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from policies.evaluate.stair_sets import DIRECTIONS, STAIR_SETS, make_cells
+from policies.evaluate.stair_sets import make_cells
+from stair_env.common.constants import STAIR_SETS, WALKING_DIRECTIONS
 from stair_env.common.validation import SpecError
 from stair_env.scene.paper_stairs import PAPER_STAIRS
 from stair_env.stairs import StairSpec
@@ -16,7 +17,7 @@ from stair_env.stairs import StairSpec
 def test_cells_are_json_able_and_balanced(name: str) -> None:
     cells = make_cells(name)
     assert json.dumps([cell.env_kwargs for cell in cells])
-    counts = [sum(cell.direction == direction for cell in cells) for direction in DIRECTIONS]
+    counts = [sum(cell.direction == direction for cell in cells) for direction in WALKING_DIRECTIONS]
     assert counts[0] == counts[1] > 0
 
 

@@ -5,6 +5,7 @@ import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.physics.body_kernels import (
     TRACK_WIDTH,
     digitise,
@@ -21,7 +22,7 @@ from stair_env.sensors.imu import sensor_point_velocity, specific_force
 HIPS = np.array([[0.24, -0.05, 0.0], [0.24, 0.05, 0.0], [-0.24, -0.05, 0.0], [-0.24, 0.05, 0.0]])
 SIDES = np.array([-0.08, 0.08, -0.08, 0.08])
 LINKS = np.array([0.25, 0.22])
-RATE_HZ, GRAVITY = 240.0, 9.81
+RATE_HZ = 240.0
 
 
 def leg_plane_feet(angles):
@@ -106,11 +107,11 @@ def test_sensors_feel_what_the_formulas_say(seed):
     rng = np.random.default_rng(seed)
     track, lever = random_track(rng, 6), rng.normal(size=3)
     sensor_to_base = Rotation.random(random_state=rng).as_matrix()
-    felt = feel(track[0], track[1:], lever, sensor_to_base.ravel(), RATE_HZ, GRAVITY)
+    felt = feel(track[0], track[1:], lever, sensor_to_base.ravel(), RATE_HZ, GRAVITY_M_S2)
     rotations = track[:, 3:12].reshape(-1, 3, 3)
     velocities = sensor_point_velocity(track[:, 12:15], track[:, 15:], rotations @ lever)
     world_to_sensor = np.swapaxes(rotations[1:] @ sensor_to_base, 1, 2)
-    force = specific_force(velocities[:-1], velocities[1:], 1 / RATE_HZ, world_to_sensor, (0.0, 0.0, -GRAVITY))
+    force = specific_force(velocities[:-1], velocities[1:], 1 / RATE_HZ, world_to_sensor, (0.0, 0.0, -GRAVITY_M_S2))
     np.testing.assert_allclose(felt[:, :3], force, atol=1e-9)
     np.testing.assert_allclose(felt[:, 3:], (world_to_sensor @ track[1:, 15:, None])[..., 0], atol=1e-12)
 

@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stair_env.common.constants import BLOCK_SOURCES
 from stair_env.common.validation import SpecError
 from stair_env.observation import STAIR_HIGH, STAIR_LOW, StairBlock
 from stair_env.stairs import StairSpec
-from stair_env.task.sources import SOURCES, VIEW_RANGE_M, ExternalSource, HipPose, make_source, true_block
+from stair_env.task.sources import VIEW_RANGE_M, ExternalSource, HipPose, make_source, true_block
 
 SPEC = StairSpec(riser_height=0.12, tread_depth=0.28, num_steps=4)
 PROFILE = SPEC.profile()
@@ -40,7 +41,7 @@ def test_uneven_steps_are_told_one_by_one():
     assert widths == pytest.approx([0.32, 0.30, 0.30])  # behind the last nosing lies the landing
 
 
-@pytest.mark.parametrize("name", sorted(SOURCES))
+@pytest.mark.parametrize("name", sorted(BLOCK_SOURCES))
 def test_blocks_lie_in_the_space_and_repeat_with_the_seed(name):
     def rollout():
         source = make_source(name)

@@ -10,7 +10,7 @@ import torch
 from perception.data.label_grid import encode_grid, format_labels
 from perception.data.stair_dataset import Sample
 from perception.learning.losses import total_loss
-from perception.network import WIDTHS, StairNetV2, state_dict_megabytes
+from perception.network import StairNetV2, state_dict_megabytes
 from perception.reproduction.baselines.classical import (
     ClassicalDetector,
     ClassicalParameters,
@@ -28,6 +28,7 @@ from perception.reproduction.baselines.stairnet import (
     encode_targets,
     stairnet_loss,
 )
+from stair_env.common.constants import NETWORK_WIDTHS
 from stair_env_cli.main import main
 
 NO_DEPTH = np.zeros((512, 512), dtype=np.float32)
@@ -184,7 +185,7 @@ def test_lines_of_a_grid_give_the_grid_back(rng):
     np.testing.assert_array_equal(back.cls, grid.cls)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", NETWORK_WIDTHS)
 def test_stairnet_is_about_three_times_stairnetv2(width):
     ratio = state_dict_megabytes(StairNet(width)) / state_dict_megabytes(StairNetV2(width))
     assert 2.5 <= ratio <= 3.5
