@@ -8,6 +8,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
+from stair_env.common.constants import DEPTH_SOURCES
 from stair_env_cli.arguments import (
     WIDTH_NAMES,
     add_backend_argument,
@@ -20,7 +21,8 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
-SUITES = ("stairnetv2", "classical", "paper", "speed")
+SUITES = ("stairnetv2", "robust", "classical", "paper", "speed")
+WEIGHED_FRAMES = 64  # of the robust suite's figure
 CLASSICAL_IMAGES = ("colour", "depth")
 
 
@@ -31,7 +33,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="accuracy, recall and IOU of a detector",
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
-        "rendered first. --suite classical scores Gabor + Canny + Hough on the same frames instead, "
+        "rendered first. --suite robust scores it again with depth blurred, holed, constant, of another frame and none, "
+        "and draws which modality it then listens to. --suite classical scores Gabor + Canny + Hough on the same frames instead, "
         "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
         "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
@@ -52,6 +55,13 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--weights", type=Path, metavar="FILE", help="safetensors or onnx file instead of the shipped ones"
     )
     add_backend_argument(parser)
+    parser.add_argument(
+        "--depth",
+        choices=DEPTH_SOURCES,
+        default="model",
+        help="score on depth with modelled errors, or matched from infrared pairs (%(default)s)",
+    )
+    parser.add_argument("--figure", type=Path, metavar="PNG", help="robust suite: weights of the modalities")
     parser.add_argument(
         "--workers", type=positive_int, default=1, help="processes that render or read frames (%(default)s)"
     )
@@ -87,7 +97,13 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, and print the table."""
-    suites = {"stairnetv2": _run_network, "classical": _run_classical, "paper": _run_paper, "speed": _run_speed}
+    suites = {
+        "stairnetv2": _run_network,
+        "robust": _run_robust,
+        "classical": _run_classical,
+        "paper": _run_paper,
+        "speed": _run_speed,
+    }
     return suites[args.suite](args)
 
 
@@ -96,7 +112,7 @@ def _run_network(args: argparse.Namespace) -> int:
     from perception.reproduction.table5_detection import as_rows, beside_paper, evaluate_detector
 
     backends = [(float(width), _backend(args, float(width))) for width in args.width]
-    frames = StairDataset(_test_root(args), args.split or None)
+    frames = StairDataset(_test_root(args), args.split or None, depth_folder=_depth_folder(args))
     rows: list[dict[str, Any]] = []
     for width, backend in backends:
         bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
@@ -104,7 +120,38 @@ def _run_network(args: argparse.Namespace) -> int:
         rows.extend(beside_paper(as_rows(tallies, "StairNetV2", width)))
     _print_table(rows)
     if args.json:
-        write_json(args.json, {"rows": rows, "backend": args.backend}, seed=args.seed)
+        write_json(args.json, {"rows": rows, "backend": args.backend, "depth": args.depth}, seed=args.seed)
+    return 0
+
+
+def _run_robust(args: argparse.Namespace) -> int:
+    from perception.data.stair_dataset import StairDataset
+    from perception.inference.weights import load_network, load_weights
+    from perception.reproduction.corrupted_depth import colour_weights, draw_colour_weights, score_corrupted
+
+    frames = StairDataset(_test_root(args), args.split or None)
+    rows: list[dict[str, Any]] = []
+    weights = {}
+    for width in map(float, args.width):
+        bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
+        rows.extend(score_corrupted(_backend(args, width), frames, width, bar))
+        if args.figure and (args.weights is None or args.weights.suffix != ".onnx"):
+            network = load_network(width) if args.weights is None else load_weights(args.weights, width)
+            weights[width] = colour_weights(network.eval(), frames, range(min(WEIGHED_FRAMES, len(frames))))
+    _print_table([row for row in rows if row["lighting"] == "all"])
+    if args.json:
+        mean = {
+            f"{width:g}": {
+                name: {light: round(sum(v) / len(v), 3) for light, v in by.items()} for name, by in found.items()
+            }
+            for width, found in weights.items()
+        }
+        write_json(args.json, {"rows": rows, "colour_weight": mean, "backend": args.backend}, seed=args.seed)
+    if weights:
+        from stair_env.common.files import atomic_path
+
+        with atomic_path(args.figure) as temporary:
+            draw_colour_weights(weights).savefig(temporary, dpi=110, format="png")
     return 0
 
 
@@ -193,6 +240,13 @@ def _run_speed(args: argparse.Namespace) -> int:
     return 0
 
 
+def _depth_folder(args: argparse.Namespace) -> str:
+    from perception.data.stair_dataset import DEPTHS
+    from perception.data.writer import stereo_folders
+
+    return DEPTHS if args.depth == "model" else stereo_folders(1)[0]
+
+
 def _test_root(args: argparse.Namespace) -> Path:
     return args.data if args.data is not None else _rendered(args, args.render_to, {"test": args.frames})
 
@@ -218,9 +272,11 @@ def _backend(args: argparse.Namespace, width: float) -> Any:
 
 def _rendered(args: argparse.Namespace, root: Path, counts: dict[str, int]) -> Path:
     """Render a set, or complete one that is there; returns its folder."""
+    from perception.data.synthetic import FrameConfig
     from perception.data.writer import DatasetPlan, complete, missing_frames, write_missing
 
-    plan = DatasetPlan(root, counts, seed=args.seed)
+    matched = args.depth == "stereo" or args.suite == "robust"
+    plan = DatasetPlan(root, counts, seed=args.seed, config=FrameConfig(stereo_variants=int(matched)))
     total = len(missing_frames(plan))
     for _ in progress(write_missing(plan, args.workers), total=total, description="rendering"):
         pass

@@ -20,6 +20,7 @@ from stair_env.common.constants import IMAGE_SIZE
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MILLIMETRE = 0.001
+DEPTHS = "depthes"  # folder name of the public set
 GREY_LEVEL_M = 8.0 / 255.0  # metres a grey level of 8-bit depth; the public set states none, 8 m is a D435i's reach
 
 
@@ -63,15 +64,22 @@ class StairDataset:
         root: folder that holds `images`, `depthes` and `labels`, or holds one such folder per split.
         split: name of that folder ("train", "val", "test"), or None when root itself is it.
         grey_level_m: metres that a grey level of 8-bit depth stands for.
+        depth_folder: where the frames' depth comes from: "depthes", or a folder of matched depth beside it.
 
     Raises:
         DatasetError: a folder is missing or empty, or an image lacks its depth or its labels.
     """
 
-    def __init__(self, root: str | Path, split: str | None = None, grey_level_m: float = GREY_LEVEL_M) -> None:
+    def __init__(
+        self,
+        root: str | Path,
+        split: str | None = None,
+        grey_level_m: float = GREY_LEVEL_M,
+        depth_folder: str = DEPTHS,
+    ) -> None:
         self.folder = Path(root) / split if split else Path(root)
-        self._grey_level_m = grey_level_m
-        for name in ("images", "depthes", "labels"):
+        self._grey_level_m, self._depth_folder = grey_level_m, depth_folder
+        for name in ("images", DEPTHS, "labels", depth_folder):
             if not (self.folder / name).is_dir():
                 raise DatasetError(f"{self.folder / name}: no such folder; a data set has images, depthes and labels")
         paths = (self.folder / "images").iterdir()
@@ -83,7 +91,7 @@ class StairDataset:
                 if not twin.is_file():
                     raise DatasetError(f"{image}: its twin {twin} is missing")
 
-    def _depth_path(self, image: Path, folder: str = "depthes") -> Path:
+    def _depth_path(self, image: Path, folder: str = DEPTHS) -> Path:
         return self.folder / folder / f"{image.stem}.png"
 
     @cached_property
@@ -99,9 +107,9 @@ class StairDataset:
 
     def __getitem__(self, index: int) -> Sample:
         """Read one frame; see `frame`."""
-        return self.frame(index)
+        return self.frame(index, self._depth_folder)
 
-    def depth(self, index: int, folder: str = "depthes") -> np.ndarray:
+    def depth(self, index: int, folder: str = DEPTHS) -> np.ndarray:
         """float32 (512, 512) metres of one frame, 0 = no reading.
 
         Args:
@@ -116,7 +124,7 @@ class StairDataset:
         _check_size(depth, path)
         return depth
 
-    def frame(self, index: int, depth_folder: str = "depthes") -> Sample:
+    def frame(self, index: int, depth_folder: str = DEPTHS) -> Sample:
         """Read one frame.
 
         Args:
