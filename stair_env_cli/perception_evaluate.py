@@ -33,8 +33,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="accuracy, recall and IOU of a detector",
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
-        "rendered first. --suite robust scores it again with depth blurred, holed, constant, of another frame and none, "
-        "and draws which modality it then listens to. --suite classical scores Gabor + Canny + Hough on the same frames instead, "
+        "rendered first. --suite robust scores the frames with depth blurred, holed, constant, of another frame and none, "
+        "and draws which modality counts then. --suite classical scores Gabor + Canny + Hough on the same frames, "
         "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
         "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
@@ -127,7 +127,12 @@ def _run_network(args: argparse.Namespace) -> int:
 def _run_robust(args: argparse.Namespace) -> int:
     from perception.data.stair_dataset import StairDataset
     from perception.inference.weights import load_network, load_weights
-    from perception.reproduction.corrupted_depth import colour_weights, draw_colour_weights, score_corrupted
+    from perception.reproduction.corrupted_depth import (
+        colour_weights,
+        draw_colour_weights,
+        mean_weights,
+        score_corrupted,
+    )
 
     frames = StairDataset(_test_root(args), args.split or None)
     rows: list[dict[str, Any]] = []
@@ -140,13 +145,8 @@ def _run_robust(args: argparse.Namespace) -> int:
             weights[width] = colour_weights(network.eval(), frames, range(min(WEIGHED_FRAMES, len(frames))))
     _print_table([row for row in rows if row["lighting"] == "all"])
     if args.json:
-        mean = {
-            f"{width:g}": {
-                name: {light: round(sum(v) / len(v), 3) for light, v in by.items()} for name, by in found.items()
-            }
-            for width, found in weights.items()
-        }
-        write_json(args.json, {"rows": rows, "colour_weight": mean, "backend": args.backend}, seed=args.seed)
+        report = {"rows": rows, "colour_weight": mean_weights(weights), "backend": args.backend}
+        write_json(args.json, report, seed=args.seed)
     if weights:
         from stair_env.common.files import atomic_path
 

@@ -142,13 +142,22 @@ def colour_weights(
                 for index in indices:
                     sample: Sample = frames[index]
                     depth = CORRUPTIONS[name](frames, index, sample.depth_m)
-                    network(
-                        torch.from_numpy(colour_input(sample.rgb[None])), torch.from_numpy(depth_input(depth[None]))
-                    )
+                    inputs = colour_input(sample.rgb[None]), depth_input(depth[None])
+                    network(*map(torch.from_numpy, inputs))
                     found.setdefault(name, {}).setdefault(sample.lighting, []).append(seen[-1])
     finally:
         handle.remove()
     return found
+
+
+def mean_weights(found: dict[float, dict[str, dict[str, list[float]]]]) -> list[dict[str, Any]]:
+    """Rows {"width", "split", "lighting", "colour_weight"} of what `colour_weights` found at each width."""
+    return [
+        {"width": width, "split": name, "lighting": light, "colour_weight": round(float(np.mean(values)), 3)}
+        for width, by_name in found.items()
+        for name, by_light in by_name.items()
+        for light, values in by_light.items()
+    ]
 
 
 def draw_colour_weights(found: dict[float, dict[str, dict[str, list[float]]]]) -> Any:

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from perception.data.stair_dataset import StairDataset
+from perception.data.synthetic import FrameConfig
+from perception.data.writer import DatasetPlan, complete, write_missing
+from perception.inference.backends import OnnxBackend
+from perception.inference.weights import load_network
+from perception.reproduction.corrupted_depth import (
+    CORRUPTIONS,
+    colour_weights,
+    draw_colour_weights,
+    mean_weights,
+    names_for,
+    score_corrupted,
+)
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    root = tmp_path_factory.mktemp("set")
+    plan = DatasetPlan(root, {"test": 3}, seed=3, config=FrameConfig(stereo_variants=1))
+    assert len(list(write_missing(plan))) == 3
+    complete(plan)
+    return StairDataset(root, "test")
+
+
+def test_each_corruption_does_what_its_name_says(frames):
+    depth = frames[0].depth_m
+    made = {name: CORRUPTIONS[name](frames, 0, depth) for name in names_for(frames)}
+    np.testing.assert_array_equal(made["as drawn"], depth)
+    np.testing.assert_array_equal(made["matched"], frames.depth(0, "depthes_stereo1"))
+    np.testing.assert_array_equal(made["another frame's"], frames.depth(1))
+    assert not made["none"].any()
+    assert (made["constant"] == 2.0).all()
+    seen = depth > 0.0
+    for share, name in ((0.05, "single holes 5 %"), (0.2, "single holes 20 %")):
+        assert (made[name] == 0.0)[seen].mean() == pytest.approx(share, abs=0.01)
+    bend = [np.abs(np.diff(1.0 / np.maximum(made[f"blurred {s} px"], 0.2), 2, axis=0)).mean() for s in (4, 16)]
+    assert bend[1] <= bend[0]
+    assert (made["blurred 8 px"] > 0.0)[seen].all()
+
+
+def test_without_matched_depth_that_row_is_left_out(frames, tmp_path):
+    assert "matched" in names_for(frames)
+    plan = DatasetPlan(tmp_path, {"test": 1}, seed=3)
+    list(write_missing(plan))
+    assert "matched" not in names_for(StairDataset(tmp_path, "test"))
+
+
+def test_rows_add_up_over_light(frames):
+    rows = score_corrupted(OnnxBackend(0.25), frames, 0.25)
+    assert {row["split"] for row in rows} == set(CORRUPTIONS)
+    for name in CORRUPTIONS:
+        counted = {row["lighting"]: row["frames"] for row in rows if row["split"] == name}
+        assert counted.pop("all") == sum(counted.values()) == 3
+
+
+def test_weights_of_the_modalities_and_their_figure(frames, tmp_path):
+    found = {0.25: colour_weights(load_network(0.25).eval(), frames, range(2))}
+    assert all(0.0 <= row["colour_weight"] <= 1.0 for row in mean_weights(found))
+    assert sum(len(values) for values in found[0.25]["none"].values()) == 2
+    draw_colour_weights(found).savefig(tmp_path / "weights.png")
+    assert (tmp_path / "weights.png").stat().st_size > 1000
