@@ -33,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="accuracy, recall and IOU of a detector",
         description="Score StairNetV2 cell by cell (equation 10, threshold 0.5) on a labelled set: all frames, "
         "by light, by direction, without stairs, with black colour, without depth. Without --data a test set is "
-        "rendered first. --suite robust scores the frames with depth blurred, holed, constant, of another frame and none, "
+        "rendered first. --suite robust scores the frames with depth blurred, holed, constant, swapped and missing, "
         "and draws which modality counts then. --suite classical scores Gabor + Canny + Hough on the same frames, "
         "with parameters found by a random search on validation frames. --suite paper reproduces tables 2, 3 and 6 of "
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
