@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from stair_env.distractors import DistractorSpec
+from stair_env.palette import MAT_LOOKS, SOLID_LOOKS
 from stair_env.stairs import StairSpec
 from stair_env.surroundings import Enclosure, SurroundingsSpec
 
 CORRIDOR_MARGIN_M = 0.25  # solid things keep this far from where a robot walks
 BESIDE_ROOM_M = 0.5  # least width beside the flight for something to stand there
-SOLID_LOOKS, MAT_LOOKS = (0, 6), (6, 8)  # half-open ranges of the palette, see `stair_env.looks`
 WALL_KINDS = ("shelf", "blinds", "bench", "boxes")
 BESIDE_KINDS = ("fence", "fence", "column", "boxes", "planks", "bench", "shelf")
 FLAT_IN_WAY = ("crosswalk", "floor_stripes", "tile_seams", "mat")

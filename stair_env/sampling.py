@@ -10,6 +10,7 @@ import numpy as np
 
 from stair_env.appearance import LIGHTINGS, AppearanceSpec, Lighting
 from stair_env.looks import automatic_exposure, draw_light, draw_materials
+from stair_env.mark_draws import draw_marks
 from stair_env.placement import draw_distractors
 from stair_env.scene_spec import Scene, SceneSpec
 from stair_env.stairs import (
@@ -101,7 +102,8 @@ class SceneSampler:
         light = draw_light(rng, lighting, around, room, stairs, automatic_exposure(look))
         wanted = stairs is None or (self.distractors and rng.random() < 0.7)
         things = draw_distractors(rng, stairs, around, room) if wanted else ()
-        return SceneSpec(stairs, AppearanceSpec(**look, **light), things, around)
+        marks = draw_marks(rng, light, around, stairs)
+        return SceneSpec(stairs, AppearanceSpec(**look, **light, **marks), things, around)
 
     def _sample_lighting(self, rng: np.random.Generator) -> Lighting:
         if self.lighting != "random":

@@ -7,6 +7,8 @@ import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stair_env.appearance import AppearanceSpec, NosingStrip
 from stair_env.distractors import DistractorSpec
 from stair_env.scene import Shape, box_between, build_stair_shapes
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STRIP_THICKNESS_M = 0.001  # by which a strip stands out: enough to be drawn, far below what a depth camera resolves
-STRIP_DROP_M = 0.012  # how far a strip without setback reaches down over the nosing
+STRIP_PIECES = 5  # into which a strip breaks that has come off in places
 
 
 @dataclass(frozen=True)
@@ -111,17 +113,49 @@ class Scene:
 
 
 def build_nosing_strips(stairs: StairSpec, strip: NosingStrip) -> tuple[Shape, ...]:
-    """One thin painted box along every nosing, in the stair frame."""
+    """Thin painted boxes along the nosings, in the stair frame."""
+    rng = np.random.default_rng(strip.seed)
     half = stairs.flight_width / 2
+    reach = half - min(strip.inset_m, 0.3 * half)
     shapes = []
-    for edge in stairs.edges():
-        if edge.kind != "convex":
-            continue
+    for edge in _with_strip(stairs, strip):
         back = 1.0 if stairs.profile().rises[edge.step] > 0 else -1.0  # from the nosing over its tread
-        near = -back * STRIP_THICKNESS_M if strip.setback_m == 0.0 else back * strip.setback_m
-        far = near + back * strip.width_m
-        low_x, high_x = sorted((edge.x + near, edge.x + far))
-        drop = STRIP_DROP_M if strip.setback_m == 0.0 else STRIP_THICKNESS_M
-        box = box_between((low_x, -half, edge.z - drop), (high_x, half, edge.z + STRIP_THICKNESS_M), "nosing")
-        shapes.append(dataclasses.replace(box, collides=False))
+        pieces = [(-reach, reach)] if strip.missing == 0.0 else _what_is_left(rng, reach, strip.missing)
+        for near, far, drop in _lines(strip):
+            low_x, high_x = sorted((edge.x + back * near, edge.x + back * far))
+            for right, left in pieces:
+                low, high = (low_x, right, edge.z - drop), (high_x, left, edge.z + STRIP_THICKNESS_M)
+                shapes.append(dataclasses.replace(box_between(low, high, "nosing"), collides=False))
     return tuple(shapes)
+
+
+def _with_strip(stairs: StairSpec, strip: NosingStrip) -> list[StairEdge]:
+    """The nosings that have a strip."""
+    ends = {0, stairs.num_steps - 1, stairs.num_steps, 2 * stairs.num_steps - 1}
+    return [edge for edge in stairs.edges() if edge.kind == "convex" and (not strip.ends_only or edge.step in ends)]
+
+
+def _lines(strip: NosingStrip) -> list[tuple[float, float, float]]:
+    """(start, end, reach downwards) of each line of a strip, metres back from the nosing."""
+    on_edge = strip.setback_m == 0.0
+    start, drop = (-STRIP_THICKNESS_M, strip.drop_m) if on_edge else (strip.setback_m, STRIP_THICKNESS_M)
+    if strip.lines == 1:
+        return [(start, start + strip.width_m, drop)]
+    narrow = strip.width_m / 3
+    second = start + 2 * narrow
+    return [(start, start + narrow, drop), (second, second + narrow, STRIP_THICKNESS_M)]
+
+
+def _what_is_left(rng: np.random.Generator, reach: float, missing: float) -> list[tuple[float, float]]:
+    """Pieces (right, left) of a strip of which some have come off, neighbours joined."""
+    inner = np.sort(rng.uniform(-reach, reach, STRIP_PIECES - 1)).tolist()
+    ends = [-reach, *inner, reach]
+    left: list[tuple[float, float]] = []
+    for k, gone in enumerate((rng.random(STRIP_PIECES) < missing).tolist()):
+        if gone or ends[k + 1] - ends[k] < 1e-3:
+            continue
+        if left and left[-1][1] == ends[k]:
+            left[-1] = (left[-1][0], ends[k + 1])
+        else:
+            left.append((ends[k], ends[k + 1]))
+    return left

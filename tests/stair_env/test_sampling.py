@@ -145,6 +145,23 @@ def test_nosing_strips_lie_on_their_treads_and_do_not_collide(direction, strip):
         assert not shape.collides
 
 
+def test_strips_come_in_kinds():
+    stairs = StairSpec(num_steps=5)
+
+    def strips(**fields):
+        shapes = Scene(SceneSpec(stairs, AppearanceSpec(nosing_strip=NosingStrip(**fields)))).shapes
+        return [shape for shape in shapes if shape.surface == "nosing"]
+
+    whole = strips()
+    assert len(strips(lines=2)) == 2 * len(whole)
+    assert len(strips(ends_only=True)) == 2
+    assert strips(missing=1.0) == []
+    length = sum(shape.size[1] for shape in whole)
+    assert 0.2 * length < sum(shape.size[1] for shape in strips(missing=0.5, seed=3)) < 0.9 * length
+    assert all(shape.size[1] == pytest.approx(stairs.flight_width / 2 - 0.1) for shape in strips(inset_m=0.1))
+    assert strips(drop_m=0.04)[0].size[2] > whole[0].size[2]
+
+
 def test_a_landing_does_not_end_in_a_drop():
     stairs = StairSpec(direction="up")
     for kind in ("plain", "indoor", "outdoor"):
