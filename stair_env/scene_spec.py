@@ -11,6 +11,7 @@ import numpy as np
 
 from stair_env.appearance import AppearanceSpec, NosingStrip
 from stair_env.distractors import DistractorSpec
+from stair_env.fittings import FittingsSpec, build_fittings
 from stair_env.scene import Shape, box_between, build_stair_shapes
 from stair_env.stairs import JsonSpec, SpecError, StairEdge, StairSpec, from_fields
 from stair_env.surroundings import SurroundingsSpec, build_surroundings
@@ -32,6 +33,7 @@ class SceneSpec(JsonSpec):
         distractors: things that look like stairs and are not.
         surroundings: walls and floors around, or None for nothing beyond the stairs' own ground. A scene without
             stairs always has surroundings, since they hold its floor.
+        fittings: balustrades, skirting and the like, or None.
 
     Raises:
         SpecError: a field is of the wrong type.
@@ -41,12 +43,14 @@ class SceneSpec(JsonSpec):
     appearance: AppearanceSpec = field(default_factory=AppearanceSpec)
     distractors: tuple[DistractorSpec, ...] = ()
     surroundings: SurroundingsSpec | None = None
+    fittings: FittingsSpec | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distractors", tuple(self.distractors))
         if self.stairs is None and self.surroundings is None:
             object.__setattr__(self, "surroundings", SurroundingsSpec())
-        for name, kind in (("stairs", StairSpec), ("appearance", AppearanceSpec), ("surroundings", SurroundingsSpec)):
+        kinds = (StairSpec, AppearanceSpec, SurroundingsSpec, FittingsSpec)
+        for name, kind in zip(("stairs", "appearance", "surroundings", "fittings"), kinds):
             value = getattr(self, name)
             if not isinstance(value, kind) and (value is not None or name == "appearance"):
                 raise SpecError(f"{name}={value!r} must be a {kind.__name__}")
@@ -74,6 +78,8 @@ class SceneSpec(JsonSpec):
                 values["appearance"] = AppearanceSpec.from_dict(values["appearance"])
             if values.get("surroundings") is not None:
                 values["surroundings"] = from_fields(SurroundingsSpec, values["surroundings"])
+            if values.get("fittings") is not None:
+                values["fittings"] = from_fields(FittingsSpec, values["fittings"])
             values["distractors"] = tuple(
                 from_fields(DistractorSpec, distractor) for distractor in values.get("distractors", ())
             )
@@ -93,13 +99,15 @@ class Scene:
 
     @functools.cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """Every solid: the stairs, their nosing strips, the surroundings, then the distractors."""
+        """Every solid: the stairs, their nosing strips and fittings, the surroundings, then the distractors."""
         spec = self.spec
         shapes: list[Shape] = []
         if spec.stairs is not None:
             shapes.extend(build_stair_shapes(spec.stairs))
             if spec.appearance.nosing_strip is not None:
                 shapes.extend(build_nosing_strips(spec.stairs, spec.appearance.nosing_strip))
+            if spec.fittings is not None:
+                shapes.extend(build_fittings(spec.fittings, spec.stairs))
         if spec.surroundings is not None:
             shapes.extend(build_surroundings(spec.surroundings, spec.stairs))
         for distractor in spec.distractors:

@@ -30,7 +30,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--ideal", action="store_true", help="leave out the errors of a D435i")
     parser.add_argument(
-        "--stereo", type=int, default=0, metavar="N", help="depth images more a frame, matched from infrared pairs of "
+        "--stereo",
+        type=int,
+        default=0,
+        metavar="N",
+        help="depth images more a frame, matched from infrared pairs of "
         "random stereo cameras, in folders depthes_stereo1 and so on (%(default)s)",
     )
     parser.add_argument("--workers", type=positive_int, default=1, help="processes (%(default)s)")
@@ -41,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
     """Write what is missing, and print how much there is."""
     limit_threads(1)
     from perception.dataset_writer import DatasetPlan, complete, missing_frames, write_missing
-    from perception.synthetic import FrameConfig
+    from perception.synthetic import CLUTTER_SHARE, FrameConfig
     from stair_env.sampling import SceneSampler
 
-    sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting)
+    sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting, clutter=CLUTTER_SHARE)
     config = FrameConfig(sampler=sampler, sensor_errors=not args.ideal, stereo_variants=args.stereo)
     plan = DatasetPlan(
         args.output,

@@ -13,7 +13,7 @@ from stair_env.surroundings import SurroundingsSpec, build_surroundings, enclosu
 from stair_env.viewpoints import CLEARANCE_M, count_edges_in_view, look_along, min_clearance
 
 seeds = st.integers(0, 2**32 - 1)
-MIXED = SceneSampler(negatives=0.25)
+MIXED = SceneSampler(negatives=0.25, clutter=0.3)
 
 
 @settings(max_examples=150, deadline=None)
@@ -37,7 +37,7 @@ def test_shapes_are_finite_solid_and_have_a_look(seed):
     scene = Scene(MIXED.sample(np.random.default_rng(seed)))
     for shape in scene.shapes:
         assert np.isfinite([*shape.position, *shape.size, *shape.orientation]).all()
-        assert min(shape.size[: 3 if shape.kind == "box" else 2]) > 0.0
+        assert min(shape.size[: {"box": 3, "sphere": 1}.get(shape.kind, 2)]) > 0.0
         scene.spec.appearance.look(shape.surface)
 
 
