@@ -17,8 +17,10 @@ from stair_env.common.constants import (
 )
 from stair_env.common.validation import SpecError, as_range, check_choice, check_range
 from stair_env.scene.appearance import AppearanceSpec, Lighting
+from stair_env.scene.objects.fittings import draw_fittings
 from stair_env.scene.random_appearance import automatic_exposure, draw_light, draw_materials
-from stair_env.scene.random_distractors import draw_distractors
+from stair_env.scene.random_distractors import draw_distractors, draw_obstacles
+from stair_env.scene.random_marks import draw_marks
 from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.scene.surroundings import SurroundingsKind, SurroundingsSpec, WindowSide, enclosure
 from stair_env.scene.viewpoints import sample_camera_pose
@@ -39,6 +41,7 @@ UNEVEN_LIMIT_M = 0.012
 OVERHANG_SHARE = 0.4
 OVERHANG_M = (0.005, 0.030)
 OPEN_RISER_SHARE = 0.08
+STAIRWELL_SHARE = 0.25  # of the rooms have walls right beside the flight on both sides
 SURROUNDINGS_SHARES: dict[SurroundingsKind, float] = {"indoor": 0.55, "outdoor": 0.3, "plain": 0.15}
 
 Span = float | tuple[float, float]
@@ -57,6 +60,9 @@ class SceneSampler:
         distractors: whether there are things that look like stairs (negatives always have some).
         surroundings: whether there are walls and ceilings.
         details: whether stairs vary beyond riser and tread: uneven steps, nosings, open risers, walls, rails.
+        clutter: share of scenes with people and things on the flight or right before it, 0 to 1. Above 0 there are also
+            railings with balusters and furniture of many parts. For data sets: no robot could walk there, and frames
+            take longer to draw.
 
     Raises:
         SpecError: an argument is out of range.
@@ -71,6 +77,7 @@ class SceneSampler:
     distractors: bool = True
     surroundings: bool = True
     details: bool = True
+    clutter: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))
@@ -82,6 +89,7 @@ class SceneSampler:
         check_choice("direction", self.direction, SCENE_DIRECTIONS)
         check_choice("lighting", self.lighting, LIGHTING_CHOICES)
         check_range("negatives", self.negatives, 0.0, 1.0)
+        check_range("clutter", self.clutter, 0.0, 1.0)
 
     def sample(self, rng: np.random.Generator) -> SceneSpec:
         """A scene; the same generator state gives the same scene."""
@@ -96,8 +104,15 @@ class SceneSampler:
         look = draw_materials(rng, around.kind == "indoor", strips=self.details)
         light = draw_light(rng, lighting, around, room, stairs, automatic_exposure(look))
         wanted = stairs is None or (self.distractors and rng.random() < 0.7)
-        things = draw_distractors(rng, stairs, around, room) if wanted else ()
-        return SceneSpec(stairs, AppearanceSpec(**look, **light), things, around)
+        crowded = self.clutter > 0.0
+        things = draw_distractors(rng, stairs, around, room, crowded=crowded) if wanted else ()
+        if stairs is not None and rng.random() < self.clutter:
+            things += draw_obstacles(rng, stairs)
+        marks = draw_marks(rng, light, around, stairs)
+        fittings = None
+        if stairs is not None and self.details:
+            fittings = draw_fittings(rng, stairs, _walls_beside(stairs, around), crowded)
+        return SceneSpec(stairs, AppearanceSpec(**look, **light, **marks), things, around, fittings)
 
     def _sample_lighting(self, rng: np.random.Generator) -> Lighting:
         if self.lighting != "random":
@@ -140,7 +155,8 @@ class SceneSampler:
         kinds = tuple(SURROUNDINGS_SHARES)
         kind = kinds[int(rng.choice(len(kinds), p=list(SURROUNDINGS_SHARES.values())))]
         reach = 2.0 if kind == "indoor" else 5.0
-        gaps = [0.0 if rng.random() < 0.25 else float(rng.uniform(0.3, reach)) for _ in range(2)]
+        stairwell = kind == "indoor" and rng.random() < STAIRWELL_SHARE
+        gaps = [0.0 if stairwell or rng.random() < 0.25 else float(rng.uniform(0.3, reach)) for _ in range(2)]
         if stairs is None:
             gaps = [max(gap, 0.8) for gap in gaps]
         window: WindowSide = "none"
@@ -161,6 +177,15 @@ class SceneSampler:
 def _offsets(rng: np.random.Generator, count: int, limit: float) -> tuple[float, ...]:
     """Deviations of the steps from nominal, metres."""
     return tuple(float(value) for value in np.clip(rng.normal(0.0, UNEVEN_STD_M, count), -limit, limit))
+
+
+def _walls_beside(stairs: StairSpec, around: SurroundingsSpec) -> SideWalls:
+    """Sides on which a wall stands right beside the flight: its own, or the room's."""
+    left, right = (
+        stairs.side_walls in (side, "both") or (around.kind == "indoor" and gap == 0.0)
+        for side, gap in (("left", around.left_gap), ("right", around.right_gap))
+    )
+    return "both" if left and right else "left" if left else "right" if right else "none"
 
 
 def _side_walls(rng: np.random.Generator) -> SideWalls:

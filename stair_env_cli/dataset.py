@@ -45,11 +45,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write what is missing, and print how much there is."""
     limit_threads(1)
-    from perception.data.synthetic import FrameConfig
+    from perception.data.synthetic import CLUTTER_SHARE, FrameConfig
     from perception.data.writer import DatasetPlan, complete, missing_frames, write_missing
     from stair_env.sampling import SceneSampler
 
-    sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting)
+    sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting, clutter=CLUTTER_SHARE)
     config = FrameConfig(sampler=sampler, sensor_errors=not args.ideal, stereo_variants=args.stereo)
     plan = DatasetPlan(
         args.output,

@@ -21,12 +21,15 @@ MAX_MODULES = 14  # in a folder; beyond that nobody finds anything
 MAX_LINES = 400
 HEAVY = ("torch", "numba", "matplotlib", "stable_baselines3", "lightning", "onnxruntime", "cv2")
 
-# Rooms in the order of the flow, one level a line: a folder, or a module at the top of a library. A module imports only
+# Rooms in the order of the flow, one level a line: a folder, or a module (at the top of a library, or where others of
+# its folder build on it). A module imports only
 # from its own room and from rooms of lower levels.
 FLOW = (
     "stair_env.common",
     "stair_env perception policies",  # the packages themselves, which register ids and let old paths work
     "stair_env.stairs",
+    "stair_env.scene.shapes stair_env.scene.materials",
+    "stair_env.scene.objects",
     "stair_env.scene stair_env.intrinsics",
     "stair_env.sampling stair_env.robots",
     "stair_env.sensors.camera.renderers",
@@ -60,7 +63,9 @@ LEVELS = {room: level for level, rooms in enumerate(FLOW) for room in rooms.spli
 
 
 def room_of(module: str) -> str:
-    """The folder that a module lies in; at a package's top, the module itself."""
+    """The folder that a module lies in; at a package's top, and where the flow names it, the module itself."""
+    if module in LEVELS:
+        return module
     folder = module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
     return module if folder in LIBRARIES else folder
 

@@ -24,6 +24,7 @@ from stair_env.sensors.camera.still import draw_device, draw_labelled, draw_matc
 
 MOTION_SHARE = 0.3  # of the frames are taken while the camera moves
 MOTION_STD_PX = 2.0  # a trotting robot's 0.3 rad/s over 8 ms at f = 615 px is 1.5 px
+CLUTTER_SHARE = 0.12  # of the scenes have people or things on the flight
 VIEWS: tuple[str, ...] = ("ascending", "descending", "none")
 
 
@@ -45,7 +46,7 @@ class FrameConfig:
         SpecError: a share is negative or a mode unknown (a ValueError).
     """
 
-    sampler: SceneSampler = field(default_factory=lambda: SceneSampler(negatives=0.09))
+    sampler: SceneSampler = field(default_factory=lambda: SceneSampler(negatives=0.09, clutter=CLUTTER_SHARE))
     mode_shares: Mapping[str, float] = field(default_factory=lambda: {"640x480": 0.75, "848x480": 0.25})
     direct_share: float = 0.5
     robot_share: float = 0.5

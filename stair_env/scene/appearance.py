@@ -3,7 +3,7 @@
 An `AppearanceSpec` is plain, JSON-able data. A renderer asks it for the look of a surface by the name that a
 `stair_env.scene.shapes.Shape` carries, and shades with linear (not gamma-encoded) colours:
 
-    radiance = albedo * (ambient + light * max(0, n . l) * visible) + specular
+    radiance = albedo * (ambient * openness + light * max(0, n . l) * visible) + specular
     pixel    = sRGB(exposure * radiance)
 
 Colours are linear RGB, 1.0 being a white sheet under a light of intensity 1 that strikes it squarely.
@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from stair_env.common.constants import SCENE_LIGHTINGS
 from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_range, from_fields
+from stair_env.scene.marks import LightPattern, Soiling
+from stair_env.scene.materials.textures import MATERIALS, Texture, make_texture
+from stair_env.scene.materials.wear import WEAR_LEVELS
 from stair_env.scene.shapes import Vector3
-from stair_env.scene.textures import MATERIALS, Texture, make_texture
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -51,11 +53,12 @@ class SurfaceLook:
     """What one surface is made of.
 
     Args:
-        material: one of `stair_env.scene.textures.MATERIALS`.
+        material: one of `stair_env.scene.materials.textures.MATERIALS`.
         seed: which specimen of the material.
         tint: multiplies the texture's linear colour, each 0 to 2.
         brightness: multiplies all three channels, 0 to 2.
         texture_scale: size of the texture's features relative to life, 0.25 to 4.
+        wear: how used it is, one of `stair_env.scene.materials.wear.WEAR_LEVELS`.
 
     Raises:
         SpecError: a field is out of range.
@@ -66,6 +69,7 @@ class SurfaceLook:
     tint: Vector3 = WHITE
     brightness: float = 1.0
     texture_scale: float = 1.0
+    wear: int = 0
 
     def __post_init__(self) -> None:
         check_choice("material", self.material, MATERIALS)
@@ -73,11 +77,12 @@ class SurfaceLook:
         object.__setattr__(self, "tint", check_vector("tint", self.tint, 0.0, 2.0))
         check_range("brightness", self.brightness, 0.0, 2.0)
         check_range("texture_scale", self.texture_scale, 0.25, 4.0)
+        check_range("wear", self.wear, WEAR_LEVELS[0], WEAR_LEVELS[-1])
 
     @property
     def texture(self) -> Texture:
         """The (cached) texture of this specimen, without tint and brightness."""
-        return make_texture(self.material, self.seed)
+        return make_texture(self.material, self.seed, self.wear)
 
     @property
     def gain(self) -> Vector3:
@@ -88,12 +93,20 @@ class SurfaceLook:
 
 @dataclass(frozen=True)
 class NosingStrip:
-    """A contrasting strip along every nosing.
+    """A contrasting strip along the nosings.
 
     Args:
         width_m: how far it reaches back over the tread, metres.
         colour: linear RGB, 0 to 1.
         setback_m: bare tread between the nosing and the strip, metres; 0 puts it on the edge.
+        drop_m: how far a strip without setback reaches down the riser, metres.
+        material: what it is made of; the colour tints it.
+        lines: 1, or 2 for two narrow stripes with as much bare tread between them.
+        ends_only: only the first and the last nosing of a flight have one.
+        inset_m: bare tread at either end, metres.
+        wear: of the material, one of `stair_env.scene.materials.wear.WEAR_LEVELS`.
+        missing: share of the strip's pieces that have come off, 0 to 1.
+        seed: which pieces.
 
     Raises:
         SpecError: a field is out of range.
@@ -102,16 +115,31 @@ class NosingStrip:
     width_m: float = 0.04
     colour: Vector3 = (0.7, 0.5, 0.02)
     setback_m: float = 0.0
+    drop_m: float = 0.012
+    material: str = "painted"
+    lines: int = 1
+    ends_only: bool = False
+    inset_m: float = 0.0
+    wear: int = 0
+    missing: float = 0.0
+    seed: int = 0
 
     def __post_init__(self) -> None:
         check_range("width_m", self.width_m, 0.005, 0.12)
         object.__setattr__(self, "colour", check_vector("colour", self.colour, 0.0, 1.0))
         check_range("setback_m", self.setback_m, 0.0, 0.06)
+        check_range("drop_m", self.drop_m, 0.001, 0.06)
+        check_choice("material", self.material, MATERIALS)
+        check_range("lines", self.lines, 1, 2)
+        check_range("inset_m", self.inset_m, 0.0, 0.2)
+        check_range("wear", self.wear, WEAR_LEVELS[0], WEAR_LEVELS[-1])
+        check_range("missing", self.missing, 0.0, 1.0)
+        check_range("seed", self.seed, 0, 2**31 - 1)
 
     @property
     def look(self) -> SurfaceLook:
-        """The strip as a painted surface."""
-        return SurfaceLook("painted", tint=self.colour)
+        """The strip as a surface."""
+        return SurfaceLook(self.material, tint=self.colour, wear=self.wear)
 
 
 @dataclass(frozen=True)
@@ -135,6 +163,11 @@ class AppearanceSpec(JsonSpec):
         exposure: multiplies the radiance before encoding, 0 to 16.
         specular_strength: multiplies each material's own gloss, 0 to 4.
         sky_horizon, sky_zenith: linear RGB of what no surface hides.
+        ambient_tilt: where more of the ambient light comes from: a face whose normal points along this vector gets
+            that much more of it (and less on the other side), world frame, each -0.4 to 0.4. By default from above.
+        corner_shade: share of the ambient light that an inner edge keeps off, 0 to 1.
+        light_pattern: what stands in the light's way out of sight, or None.
+        soiling: where surfaces are trodden, damp or dirty, or None.
 
     Raises:
         SpecError: a field is out of range.
@@ -162,6 +195,10 @@ class AppearanceSpec(JsonSpec):
     specular_strength: float = 1.0
     sky_horizon: Vector3 = (0.75, 0.82, 0.9)
     sky_zenith: Vector3 = (0.25, 0.45, 0.8)
+    ambient_tilt: Vector3 = (0.0, 0.0, 0.22)
+    corner_shade: float = 0.5
+    light_pattern: LightPattern | None = None
+    soiling: Soiling | None = None
 
     def __post_init__(self) -> None:
         check_choice("lighting", self.lighting, SCENE_LIGHTINGS)
@@ -183,6 +220,8 @@ class AppearanceSpec(JsonSpec):
         check_range("ambient_level", self.ambient_level, 0.0, 2.0)
         check_range("exposure", self.exposure, 0.0, 16.0)
         check_range("specular_strength", self.specular_strength, 0.0, 4.0)
+        object.__setattr__(self, "ambient_tilt", check_vector("ambient_tilt", self.ambient_tilt, -0.4, 0.4))
+        check_range("corner_shade", self.corner_shade, 0.0, 1.0)
 
     def look(self, surface: str, faces_up: bool = False) -> SurfaceLook:
         """The look of a shape's face.
@@ -219,7 +258,9 @@ class AppearanceSpec(JsonSpec):
                     values[name] = from_fields(SurfaceLook, values[name])
             if "distractors" in values:
                 values["distractors"] = tuple(from_fields(SurfaceLook, look) for look in values["distractors"])
-            if values.get("nosing_strip") is not None:
-                values["nosing_strip"] = from_fields(NosingStrip, values["nosing_strip"])
+            parts = (("nosing_strip", NosingStrip), ("light_pattern", LightPattern), ("soiling", Soiling))
+            for name, kind in parts:
+                if values.get(name) is not None:
+                    values[name] = from_fields(kind, values[name])
         built: Self = from_fields(cls, values)
         return built

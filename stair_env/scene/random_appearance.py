@@ -10,33 +10,67 @@ from typing import Any
 import numpy as np
 
 from stair_env.scene.appearance import Lighting, NosingStrip, SurfaceLook
+from stair_env.scene.objects.palette import PALETTE
 from stair_env.scene.shapes import Vector3
 from stair_env.scene.surroundings import Enclosure, SurroundingsSpec
 from stair_env.stairs import StairSpec
 
 SPECIMENS = 16  # of each material: few enough for the texture cache to help, tints make the rest of the variety
-SAME_MATERIAL_SHARE = 0.5  # riser like tread: seen from above the edge then hardly shows
-STRIP_SHARE = 0.3
-PALETTE = ("painted", "wood", "painted", "wood", "metal", "concrete", "carpet", "carpet")  # of the distractors
+SAME_MATERIAL_SHARE = 0.55  # riser like tread: only shading shows the edge
+OTHER_TONE_SHARE = 0.35  # of the rest: the same stuff, painted or worn to another tone
+STRIP_SHARE = 0.35
+WEAR_SHARES = (0.4, 0.3, 0.2, 0.1)  # of `stair_env.scene.materials.wear.WEAR_LEVELS`
 OVERCAST_SHARE = 0.35  # of the days outdoors
 GLARE_SHARE = 0.1
+TINT_SHARE = 0.12  # of the lights are coloured: neon, old sodium lamps, awnings
 
-INDOOR_TREADS = ("wood", "wood", "concrete", "terrazzo", "tile", "carpet", "painted", "metal")
-OUTDOOR_TREADS = ("concrete", "concrete", "concrete", "tile", "brick", "wood", "metal", "terrazzo")
-RISERS = ("concrete", "wood", "tile", "painted", "brick", "terrazzo", "metal")
-INDOOR_FLOORS = ("wood", "tile", "terrazzo", "concrete", "carpet")
-OUTDOOR_FLOORS = ("concrete", "concrete", "tile", "brick")
-INDOOR_WALLS = ("painted", "painted", "painted", "painted", "brick", "concrete", "wood")
-OUTDOOR_WALLS = ("brick", "brick", "concrete", "painted")
+INDOOR_TREADS = (
+    "wood", "wood", "concrete", "concrete", "terrazzo", "tile", "carpet", "carpet", "painted", "metal", "rubber",
+    "granite", "marble", "slab_tile", "linoleum", "parquet", "grating",
+)  # fmt: skip
+OUTDOOR_TREADS = (
+    "concrete", "concrete", "concrete", "tile", "brick", "wood", "metal", "terrazzo", "granite", "stone", "stone",
+    "paving", "slab_tile", "grating", "decking", "painted",
+)  # fmt: skip
+RISERS = (
+    "concrete", "wood", "tile", "painted", "painted", "brick", "terrazzo", "metal", "granite", "stone", "marble",
+    "slab_tile", "rubber", "panelling",
+)  # fmt: skip
+INDOOR_FLOORS = (
+    "wood", "tile", "terrazzo", "concrete", "carpet", "parquet", "marble", "linoleum", "slab_tile", "rubber", "granite",
+)  # fmt: skip
+OUTDOOR_FLOORS = (
+    "concrete", "concrete", "tile", "brick", "asphalt", "asphalt", "paving", "paving", "grass", "stone", "granite",
+    "slab_tile", "decking",
+)  # fmt: skip
+INDOOR_WALLS = (
+    "painted", "painted", "painted", "painted", "brick", "concrete", "wood", "panelling", "slab_tile", "siding",
+)  # fmt: skip
+OUTDOOR_WALLS = ("brick", "brick", "concrete", "painted", "siding", "stone", "panelling")
+TINTED = ("painted", "siding", "panelling")  # near white, so that a paint decides the colour
 MEAN_ALBEDO = {  # linear, over the first 16 specimens
     "concrete": 0.28,
-    "terrazzo": 0.26,
-    "wood": 0.23,
+    "terrazzo": 0.30,
+    "wood": 0.19,
     "tile": 0.35,
-    "brick": 0.15,
-    "metal": 0.23,
-    "carpet": 0.13,
+    "brick": 0.20,
+    "metal": 0.25,
+    "carpet": 0.12,
     "painted": 0.82,
+    "rubber": 0.06,
+    "granite": 0.19,
+    "marble": 0.31,
+    "grating": 0.13,
+    "paving": 0.20,
+    "stone": 0.20,
+    "slab_tile": 0.27,
+    "parquet": 0.19,
+    "asphalt": 0.09,
+    "grass": 0.07,
+    "linoleum": 0.19,
+    "decking": 0.13,
+    "siding": 0.52,
+    "panelling": 0.68,
 }
 MIDDLE_ALBEDO = 0.28
 EXPOSURE_FOLLOWING = 0.6  # exponent: 1 would make every picture equally bright
@@ -79,7 +113,7 @@ def draw_look(
         patterned: how often boards stand for a slab of wood, chequer plate for sheet metal and so on.
     """
     material = _choice(rng, materials)
-    if material == "painted":
+    if material in TINTED:
         tint = _paint(rng, strong_paint)
     else:
         warm = float(rng.normal(0.0, 0.035))
@@ -90,6 +124,27 @@ def draw_look(
         tint=tint,
         brightness=float(rng.uniform(0.75, 1.15)),
         texture_scale=float(rng.uniform(0.8, 1.25)),
+        wear=int(rng.choice(len(WEAR_SHARES), p=WEAR_SHARES)),
+    )
+
+
+def draw_strip(rng: np.random.Generator) -> NosingStrip:
+    """A strip along the nosings: painted, of rubber or of metal, on the edge or set back, whole or coming off."""
+    set_back = rng.random() < 0.35
+    material = _choice(rng, ("painted", "painted", "painted", "rubber", "metal"))
+    neutral = float(rng.uniform(0.6, 1.0))
+    return NosingStrip(
+        width_m=float(rng.uniform(0.02, 0.07)),
+        colour=_choice(rng, STRIP_COLOURS) if material == "painted" else (neutral, neutral, neutral),
+        setback_m=float(rng.uniform(0.008, 0.03)) if set_back else 0.0,
+        drop_m=float(rng.uniform(0.025, 0.05)) if rng.random() < 0.35 else float(rng.uniform(0.004, 0.015)),
+        material=material,
+        lines=2 if rng.random() < 0.15 else 1,
+        ends_only=bool(rng.random() < 0.12),
+        inset_m=float(rng.uniform(0.02, 0.12)) if rng.random() < 0.3 else 0.0,
+        wear=int(rng.choice(len(WEAR_SHARES), p=WEAR_SHARES)),
+        missing=float(rng.uniform(0.1, 0.5)) if rng.random() < 0.12 else 0.0,
+        seed=int(rng.integers(2**30)),
     )
 
 
@@ -98,7 +153,7 @@ def draw_materials(rng: np.random.Generator, indoors: bool, strips: bool = True)
     tread = draw_look(rng, INDOOR_TREADS if indoors else OUTDOOR_TREADS, patterned=0.3)
     if rng.random() < SAME_MATERIAL_SHARE:
         riser = tread
-    elif rng.random() < 0.3:  # the same stuff, painted or worn to another tone
+    elif rng.random() < OTHER_TONE_SHARE:
         riser = dataclasses.replace(
             tread, brightness=float(np.clip(tread.brightness * rng.uniform(0.7, 1.3), 0.4, 1.3))
         )
@@ -107,10 +162,7 @@ def draw_materials(rng: np.random.Generator, indoors: bool, strips: bool = True)
     floor = draw_look(rng, INDOOR_FLOORS if indoors else OUTDOOR_FLOORS, patterned=0.85)
     if rng.random() < 0.3 and tread.material in INDOOR_FLOORS + OUTDOOR_FLOORS:
         floor = dataclasses.replace(tread, seed=tread.seed | 1) if tread.material == "wood" else tread  # boards
-    strip = None
-    if strips and rng.random() < STRIP_SHARE:
-        setback = float(rng.uniform(0.008, 0.03)) if rng.random() < 0.4 else 0.0
-        strip = NosingStrip(float(rng.uniform(0.02, 0.06)), _choice(rng, STRIP_COLOURS), setback)
+    strip = draw_strip(rng) if strips and rng.random() < STRIP_SHARE else None
     wall = draw_look(rng, INDOOR_WALLS if indoors else OUTDOOR_WALLS, strong_paint=0.15)
     return {
         "tread": tread,
@@ -182,12 +234,15 @@ def draw_light(
 def _colour_of_light(rng: np.random.Generator, warm_low: float, warm_high: float) -> Vector3:
     """From bluish (below 0) over neutral to the orange of a filament (1)."""
     warm = float(rng.uniform(warm_low, warm_high))
+    if rng.random() < TINT_SHARE:
+        red, green, blue = colorsys.hsv_to_rgb(float(rng.random()), float(rng.uniform(0.1, 0.4)), 1.0)
+        return (red, green, blue)
     return (1.0 if warm >= 0 else 1.0 + 0.3 * warm, 1.0 - 0.22 * abs(warm), 1.0 - 0.55 * max(warm, 0.0))
 
 
 def _outdoors(rng: np.random.Generator) -> dict[str, Any]:
     overcast = rng.random() < OVERCAST_SHARE
-    elevation = math.radians(float(rng.uniform(18.0, 75.0)))
+    elevation = math.radians(float(rng.uniform(8.0, 75.0)))
     sun = float(rng.uniform(0.0, 0.25)) if overcast else float(rng.uniform(0.8, 1.5))
     ambient = float(rng.uniform(0.65, 0.9)) if overcast else float(rng.uniform(0.25, 0.5))
     grey = float(rng.uniform(0.6, 0.85))

@@ -7,9 +7,12 @@ import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stair_env.common.validation import JsonSpec, SpecError, from_fields
 from stair_env.scene.appearance import AppearanceSpec, NosingStrip
-from stair_env.scene.distractors import DistractorSpec
+from stair_env.scene.objects.distractors import DistractorSpec
+from stair_env.scene.objects.fittings import FittingsSpec, build_fittings
 from stair_env.scene.shapes import Shape, box_between, build_stair_shapes
 from stair_env.scene.surroundings import SurroundingsSpec, build_surroundings
 from stair_env.stairs import StairEdge, StairSpec
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STRIP_THICKNESS_M = 0.001  # by which a strip stands out: enough to be drawn, far below what a depth camera resolves
-STRIP_DROP_M = 0.012  # how far a strip without setback reaches down over the nosing
+STRIP_PIECES = 5  # into which a strip breaks that has come off in places
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class SceneSpec(JsonSpec):
         distractors: things that look like stairs and are not.
         surroundings: walls and floors around, or None for nothing beyond the stairs' own ground. A scene without
             stairs always has surroundings, since they hold its floor.
+        fittings: balustrades, skirting and the like, or None.
 
     Raises:
         SpecError: a field is of the wrong type.
@@ -40,12 +44,14 @@ class SceneSpec(JsonSpec):
     appearance: AppearanceSpec = field(default_factory=AppearanceSpec)
     distractors: tuple[DistractorSpec, ...] = ()
     surroundings: SurroundingsSpec | None = None
+    fittings: FittingsSpec | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distractors", tuple(self.distractors))
         if self.stairs is None and self.surroundings is None:
             object.__setattr__(self, "surroundings", SurroundingsSpec())
-        for name, kind in (("stairs", StairSpec), ("appearance", AppearanceSpec), ("surroundings", SurroundingsSpec)):
+        kinds = (StairSpec, AppearanceSpec, SurroundingsSpec, FittingsSpec)
+        for name, kind in zip(("stairs", "appearance", "surroundings", "fittings"), kinds):
             value = getattr(self, name)
             if not isinstance(value, kind) and (value is not None or name == "appearance"):
                 raise SpecError(f"{name}={value!r} must be a {kind.__name__}")
@@ -73,6 +79,8 @@ class SceneSpec(JsonSpec):
                 values["appearance"] = AppearanceSpec.from_dict(values["appearance"])
             if values.get("surroundings") is not None:
                 values["surroundings"] = from_fields(SurroundingsSpec, values["surroundings"])
+            if values.get("fittings") is not None:
+                values["fittings"] = from_fields(FittingsSpec, values["fittings"])
             values["distractors"] = tuple(
                 from_fields(DistractorSpec, distractor) for distractor in values.get("distractors", ())
             )
@@ -92,13 +100,15 @@ class Scene:
 
     @functools.cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """Every solid: the stairs, their nosing strips, the surroundings, then the distractors."""
+        """Every solid: the stairs, their nosing strips and fittings, the surroundings, then the distractors."""
         spec = self.spec
         shapes: list[Shape] = []
         if spec.stairs is not None:
             shapes.extend(build_stair_shapes(spec.stairs))
             if spec.appearance.nosing_strip is not None:
                 shapes.extend(build_nosing_strips(spec.stairs, spec.appearance.nosing_strip))
+            if spec.fittings is not None:
+                shapes.extend(build_fittings(spec.fittings, spec.stairs))
         if spec.surroundings is not None:
             shapes.extend(build_surroundings(spec.surroundings, spec.stairs))
         for distractor in spec.distractors:
@@ -112,17 +122,49 @@ class Scene:
 
 
 def build_nosing_strips(stairs: StairSpec, strip: NosingStrip) -> tuple[Shape, ...]:
-    """One thin painted box along every nosing, in the stair frame."""
+    """Thin painted boxes along the nosings, in the stair frame."""
+    rng = np.random.default_rng(strip.seed)
     half = stairs.flight_width / 2
+    reach = half - min(strip.inset_m, 0.3 * half)
     shapes = []
-    for edge in stairs.edges():
-        if edge.kind != "convex":
-            continue
+    for edge in _with_strip(stairs, strip):
         back = 1.0 if stairs.profile().rises[edge.step] > 0 else -1.0  # from the nosing over its tread
-        near = -back * STRIP_THICKNESS_M if strip.setback_m == 0.0 else back * strip.setback_m
-        far = near + back * strip.width_m
-        low_x, high_x = sorted((edge.x + near, edge.x + far))
-        drop = STRIP_DROP_M if strip.setback_m == 0.0 else STRIP_THICKNESS_M
-        box = box_between((low_x, -half, edge.z - drop), (high_x, half, edge.z + STRIP_THICKNESS_M), "nosing")
-        shapes.append(dataclasses.replace(box, collides=False))
+        pieces = [(-reach, reach)] if strip.missing == 0.0 else _what_is_left(rng, reach, strip.missing)
+        for near, far, drop in _lines(strip):
+            low_x, high_x = sorted((edge.x + back * near, edge.x + back * far))
+            for right, left in pieces:
+                low, high = (low_x, right, edge.z - drop), (high_x, left, edge.z + STRIP_THICKNESS_M)
+                shapes.append(dataclasses.replace(box_between(low, high, "nosing"), collides=False))
     return tuple(shapes)
+
+
+def _with_strip(stairs: StairSpec, strip: NosingStrip) -> list[StairEdge]:
+    """The nosings that have a strip."""
+    ends = {0, stairs.num_steps - 1, stairs.num_steps, 2 * stairs.num_steps - 1}
+    return [edge for edge in stairs.edges() if edge.kind == "convex" and (not strip.ends_only or edge.step in ends)]
+
+
+def _lines(strip: NosingStrip) -> list[tuple[float, float, float]]:
+    """(start, end, reach downwards) of each line of a strip, metres back from the nosing."""
+    on_edge = strip.setback_m == 0.0
+    start, drop = (-STRIP_THICKNESS_M, strip.drop_m) if on_edge else (strip.setback_m, STRIP_THICKNESS_M)
+    if strip.lines == 1:
+        return [(start, start + strip.width_m, drop)]
+    narrow = strip.width_m / 3
+    second = start + 2 * narrow
+    return [(start, start + narrow, drop), (second, second + narrow, STRIP_THICKNESS_M)]
+
+
+def _what_is_left(rng: np.random.Generator, reach: float, missing: float) -> list[tuple[float, float]]:
+    """Pieces (right, left) of a strip of which some have come off, neighbours joined."""
+    inner = np.sort(rng.uniform(-reach, reach, STRIP_PIECES - 1)).tolist()
+    ends = [-reach, *inner, reach]
+    left: list[tuple[float, float]] = []
+    for k, gone in enumerate((rng.random(STRIP_PIECES) < missing).tolist()):
+        if gone or ends[k + 1] - ends[k] < 1e-3:
+            continue
+        if left and left[-1][1] == ends[k]:
+            left[-1] = (left[-1][0], ends[k + 1])
+        else:
+            left.append((ends[k], ends[k + 1]))
+    return left

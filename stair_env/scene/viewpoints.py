@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stair_env.common.transforms import look_along
+from stair_env.scene.objects.distractors import FLAT_KINDS
 from stair_env.scene.shapes import Shape
 from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.stairs import StairProfile, StairSpec
@@ -19,6 +20,13 @@ ROBOT_CAMERA_FORWARD_M = 0.34  # of the trunk's middle
 SLOPE_FOLLOWING = 0.8  # share of the flight's slope that the trunk's pitch follows
 HAND_CAMERA_HEIGHT_M = (0.25, 1.7)
 HAND_PITCH_RAD = (math.radians(-5.0), math.radians(50.0))
+STANDING_SHARE = 0.3  # of the hand-held viewpoints: eye height, far enough for a long flight to fit in
+STANDING_HEIGHT_M = (1.4, 1.75)
+STANDING_DISTANCE_M = (1.0, 5.0)
+STANDING_PITCH_RAD = {"up": (math.radians(-25.0), math.radians(20.0)), "down": (math.radians(10.0), math.radians(45.0))}
+BESIDE_SHARE = 0.15  # of the hand-held viewpoints: from beside the flight, across it
+BESIDE_DISTANCE_M = (0.3, 1.8)
+BESIDE_YAW_RAD = (math.radians(15.0), math.radians(72.0))  # beyond, lines run along the line of sight
 YAW_LIMIT_RAD = math.radians(40.0)
 ROLL_LIMIT_RAD = math.radians(10.0)
 DISTANCE_M = (0.3, 4.0)  # before the first edge
@@ -26,6 +34,7 @@ CLEARANCE_M = 0.12  # between the lens and any solid
 HALF_FOV = (math.tan(math.radians(69.0 / 2)), math.tan(math.radians(42.0 / 2)))  # D435i colour, data sheet
 VIEW_RANGE_M = (0.2, 4.0)
 VISIBLE_SHARE = 0.25  # of a line's samples that must be in view for it to count
+LOOK_ALIKE_SHARE = 0.8  # of the viewpoints without stairs have a distractor in view, if there is one
 WANTED_LINES = (0, 2, 4)  # that must be in view ...
 WANTED_SHARES = (0.05, 0.4, 0.55)  # ... from these shares of the viewpoints
 MAX_TRIES = 60
@@ -47,14 +56,21 @@ def sample_camera_pose(
         its lines are in view; when no such place is found, the best one.
     """
     built = scene if scene is not None else Scene(scene_spec)
-    wanted = 0 if scene_spec.stairs is None else int(rng.choice(WANTED_LINES, p=WANTED_SHARES))
-    on_robot = rng.random() < robot_share
+    stairs = scene_spec.stairs
+    if stairs is None:
+        wanted = int(bool(scene_spec.distractors) and rng.random() < LOOK_ALIKE_SHARE)
+    else:
+        wanted = int(rng.choice(WANTED_LINES, p=WANTED_SHARES))
+    style = "robot" if rng.random() < robot_share else _hand_held_style(scene_spec, rng)
     best, best_count = None, -1
     for _ in range(MAX_TRIES):
-        pose = _draw_pose(scene_spec.stairs, on_robot, rng)
+        pose = _from_beside(scene_spec, rng) if style == "beside" else _draw_pose(stairs, style, rng)
         if min_clearance(built.shapes, pose[:3, 3]) < CLEARANCE_M:
             continue
-        count = count_edges_in_view(scene_spec.stairs, pose) if scene_spec.stairs is not None else 0
+        if stairs is None:
+            count = _distractors_in_view(scene_spec, pose)
+        else:
+            count = count_edges_in_view(stairs, pose, over_the_flight=style != "beside")
         if count > best_count:
             best, best_count = pose, count
         if best_count >= wanted:
@@ -62,34 +78,102 @@ def sample_camera_pose(
     return best if best is not None else look_along(np.array([-1.0, 0.0, _floor_height(scene_spec) + 0.45]), 0.0, 0.4)
 
 
+def _hand_held_style(scene_spec: SceneSpec, rng: np.random.Generator) -> str:
+    """ "hand" at any height, "standing" person, or "beside" the flight where there is room for it."""
+    chance = rng.random()
+    if chance < STANDING_SHARE:
+        return "standing"
+    return "beside" if chance < STANDING_SHARE + BESIDE_SHARE and _open_sides(scene_spec) else "hand"
+
+
+def _open_sides(scene_spec: SceneSpec) -> tuple[float, ...]:
+    """+1 for left, -1 for right: where one can stand beside the flight and look across it."""
+    stairs, around = scene_spec.stairs, scene_spec.surroundings
+    if stairs is None:
+        return ()
+    least = BESIDE_DISTANCE_M[0] + 2 * CLEARANCE_M
+    sides = []
+    for side, name in ((1.0, "left"), (-1.0, "right")):
+        gap = math.inf if around is None or around.kind == "plain" else getattr(around, f"{name}_gap")
+        if stairs.side_walls not in (name, "both") and gap > least:
+            sides.append(side)
+    return tuple(sides)
+
+
+def _from_beside(scene_spec: SceneSpec, rng: np.random.Generator) -> np.ndarray:
+    """Beside the flight on the ground, turned towards a place on it."""
+    stairs, sides = scene_spec.stairs, _open_sides(scene_spec)
+    assert stairs is not None and sides
+    side = sides[int(rng.integers(len(sides)))]
+    profile, half = stairs.profile(), stairs.flight_width / 2
+    target_x = float(rng.uniform(0.0, 1.0)) * float(profile.edge_x[-1])
+    yaw = float(rng.uniform(*BESIDE_YAW_RAD))
+    y = half + float(rng.uniform(*BESIDE_DISTANCE_M))
+    x = target_x - y / math.tan(yaw)
+    z = float(rng.uniform(*HAND_CAMERA_HEIGHT_M))
+    target_z = float(profile.height_at(target_x))
+    pitch = math.atan2(z - target_z, math.hypot(target_x - x, y)) + float(rng.normal(0.0, math.radians(6.0)))
+    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    return look_along(np.array([x, side * y, z]), -side * yaw, pitch, roll)
+
+
+def _distractors_in_view(scene_spec: SceneSpec, camera_to_world: np.ndarray) -> int:
+    """How many distractors have their middle in view."""
+    if not scene_spec.distractors:
+        return 0
+    middles = np.array(
+        [
+            (x, y, z if thing.kind in FLAT_KINDS else z + 0.5 * thing.size[2])
+            for thing in scene_spec.distractors
+            for x, y, z in (thing.position,)
+        ]
+    )
+    camera = (middles - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
+    depth = np.maximum(camera[:, 2], 1e-6)
+    inside = (camera[:, 2] > VIEW_RANGE_M[0]) & (np.abs(camera[:, :2]) < np.array(HALF_FOV) * depth[:, None]).all(
+        axis=1
+    )
+    return int(inside.sum())
+
+
 def _floor_height(scene_spec: SceneSpec) -> float:
     return 0.0 if scene_spec.stairs is None else float(scene_spec.stairs.profile().level_z[0])
 
 
-def _draw_pose(stairs: StairSpec | None, on_robot: bool, rng: np.random.Generator) -> np.ndarray:
+def _draw_pose(stairs: StairSpec | None, style: str, rng: np.random.Generator) -> np.ndarray:
+    """In the flight's direction, by a "robot", "hand" or "standing" person."""
     yaw = float(np.clip(rng.normal(0.0, YAW_LIMIT_RAD / 2), -YAW_LIMIT_RAD, YAW_LIMIT_RAD))
     roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
     half = 0.6 if stairs is None else stairs.flight_width / 2
     y = float(np.clip(rng.normal(0.0, 0.35 * half), -half - 0.1, half + 0.1))
-    x, surface, slope = _standing_place(stairs, rng)
-    if on_robot:
+    x, surface, slope = _standing_place(stairs, rng, far=style == "standing")
+    if style == "robot":
         mean, spread = ROBOT_CAMERA_PITCH_RAD
         body_pitch_up = SLOPE_FOLLOWING * slope
         pitch = mean - body_pitch_up + float(rng.normal(0.0, spread))
         z = surface + float(rng.uniform(*ROBOT_CAMERA_HEIGHT_M)) + ROBOT_CAMERA_FORWARD_M * math.sin(body_pitch_up)
         yaw *= 0.6
+    elif style == "standing":
+        way = "down" if stairs is not None and stairs.direction == "down" else "up"
+        pitch = float(rng.uniform(*STANDING_PITCH_RAD[way]))
+        z = surface + float(rng.uniform(*STANDING_HEIGHT_M))
+        yaw *= 0.7
     else:
         pitch = float(rng.uniform(*HAND_PITCH_RAD))
         z = surface + float(rng.uniform(*HAND_CAMERA_HEIGHT_M))
     return look_along(np.array([x, y, z]), yaw, pitch, roll)
 
 
-def _standing_place(stairs: StairSpec | None, rng: np.random.Generator) -> tuple[float, float, float]:
+def _standing_place(
+    stairs: StairSpec | None, rng: np.random.Generator, far: bool = False
+) -> tuple[float, float, float]:
     """(x of the lens, height of the ground under the robot's middle, slope there in radians, positive upwards)."""
     if stairs is None:
         return -_distance(rng), 0.0, 0.0
     profile = stairs.profile()
-    if stairs.num_steps < 3 or rng.random() < 0.55:
+    if far:
+        x = -float(rng.uniform(*STANDING_DISTANCE_M)) if stairs.direction != "down" else -float(rng.uniform(0.0, 1.5))
+    elif stairs.num_steps < 3 or rng.random() < 0.55:
         x = -_distance(rng)
     else:
         x = float(rng.uniform(0.0, 1.0)) * float(profile.edge_x[-2])
@@ -130,14 +214,23 @@ def _half_extents(shape: Shape) -> tuple[float, float, float]:
     return (radius, radius, half_length + extra)
 
 
-def count_edges_in_view(stairs: StairSpec, camera_to_world: np.ndarray) -> int:
-    """How many stair lines a D435i sees from a pose, the stairs' own profile being all that hides them."""
+def count_edges_in_view(stairs: StairSpec, camera_to_world: np.ndarray, over_the_flight: bool = True) -> int:
+    """How many stair lines a D435i sees from a pose.
+
+    Args:
+        stairs: the staircase.
+        camera_to_world: (4, 4) pose.
+        over_the_flight: whether the camera looks along the flight, so that the profile hides lines behind it. From
+            beside only nosings count, and nothing hides them.
+    """
     profile = stairs.profile()
     eye, rotation = camera_to_world[:3, 3], camera_to_world[:3, :3]
     share = np.linspace(0.02, 0.98, 15)
     along = np.linspace(0.02, 0.98, 24)
     count = 0
     for edge in stairs.edges():
+        if not over_the_flight and edge.kind == "concave":
+            continue
         points = np.stack(
             [np.full(15, edge.x), edge.y_right + share * (edge.y_left - edge.y_right), np.full(15, edge.z)], 1
         )
@@ -146,6 +239,9 @@ def count_edges_in_view(stairs: StairSpec, camera_to_world: np.ndarray) -> int:
         inside = (camera[:, 2] > VIEW_RANGE_M[0]) & (camera[:, 2] < VIEW_RANGE_M[1])
         inside &= (np.abs(camera[:, 0]) < HALF_FOV[0] * depth) & (np.abs(camera[:, 1]) < HALF_FOV[1] * depth)
         if inside.mean() < VISIBLE_SHARE:
+            continue
+        if not over_the_flight:
+            count += 1
             continue
         ray_x = eye[0] + along * (edge.x - eye[0])
         ray_z = eye[2] + along * (edge.z - eye[2])

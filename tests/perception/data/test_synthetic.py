@@ -10,6 +10,7 @@ from perception.estimator import check_gravity
 from stair_env.common.transforms import look_at
 from stair_env.intrinsics import Intrinsics
 from stair_env.sampling import SceneSampler
+from stair_env.scene.objects.distractors import DistractorSpec
 from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.stairs import StairSpec
 
@@ -51,10 +52,29 @@ def test_view_and_gravity():
 
 
 def test_negatives_have_no_label():
-    config = FrameConfig(sampler=SceneSampler(negatives=1.0))
-    frame = draw_frame(np.random.default_rng(0), config, threads=1)
-    assert frame.view == "none"
-    assert len(frame.lines) == 0
+    config = FrameConfig(sampler=SceneSampler(negatives=1.0, clutter=1.0))
+    for seed in range(4):
+        frame = draw_frame(np.random.default_rng(seed), config, threads=1)
+        assert frame.view == "none"
+        assert len(frame.lines) == 0
+
+
+def test_clutter_cuts_lines_and_moves_none():
+    stairs = StairSpec("up", riser_height=0.15, tread_depth=0.3, num_steps=4, flight_width=1.4)
+    pose = look_at([-1.5, 0.05, 0.9], [0.5, 0.0, 0.3])
+    camera = Intrinsics(640, 480, 460.0, 460.0, 320.0, 240.0)
+
+    def lines(*things):
+        scene = Scene(SceneSpec(stairs, distractors=things))
+        return photograph(scene, pose, camera, np.random.default_rng(0), sensor_errors=False, threads=1).lines
+
+    free = lines()
+    hidden = lines(DistractorSpec("person", (0.15, 0.55, 0.15), size=(0.5, 0.5, 1.7)))
+    lengths = [float((found[:, 2] - found[:, 0]).sum()) for found in (free, hidden)]
+    assert 0.5 * lengths[0] < lengths[1] < 0.98 * lengths[0]
+    for line in hidden:  # each lies on one of the lines that were there before
+        off = [np.abs(np.interp(line[[0, 2]], old[[0, 2]], old[[1, 3]]) - line[[1, 3]]).max() for old in free]
+        assert min(off) < 0.5
 
 
 def test_written_set_reads_back_and_resumes(tmp_path):

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from stair_env.common.validation import SpecError
 from stair_env.scene.appearance import SURFACES, AppearanceSpec, NosingStrip, SurfaceLook
-from stair_env.scene.textures import MATERIALS
+from stair_env.scene.marks import LightPattern, Soiling
+from stair_env.scene.materials.textures import MATERIALS
 
 unit = st.floats(0.0, 1.0)
 colours = st.tuples(unit, unit, unit)
@@ -19,6 +20,24 @@ looks = st.builds(
     tint=colours,
     brightness=st.floats(0.0, 2.0),
     texture_scale=st.floats(0.25, 4.0),
+    wear=st.integers(0, 3),
+)
+pairs = st.tuples(unit, unit)
+patterns = st.builds(LightPattern, period_m=st.tuples(*[st.floats(0.02, 5.0)] * 2), shade=pairs, phase=pairs, warp=unit)
+soilings = st.builds(
+    Soiling,
+    lane_gain=st.floats(-0.8, 1.0),
+    patch_strength=st.floats(-1.0, 0.95),
+    patch_phase=pairs,
+    grime=st.floats(-0.5, 0.9),
+)
+strips = st.builds(
+    NosingStrip,
+    width_m=st.floats(0.005, 0.12),
+    colour=colours,
+    material=st.sampled_from(["painted", "rubber", "metal"]),
+    lines=st.integers(1, 2),
+    missing=unit,
 )
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: math.hypot(*v) > 1e-3)
 specs = st.builds(
@@ -28,7 +47,10 @@ specs = st.builds(
     riser=looks,
     wall=looks,
     distractors=st.lists(looks, min_size=1, max_size=3).map(tuple),
-    nosing_strip=st.none() | st.builds(NosingStrip, width_m=st.floats(0.005, 0.12), colour=colours),
+    nosing_strip=st.none() | strips,
+    light_pattern=st.none() | patterns,
+    soiling=st.none() | soilings,
+    ambient_tilt=st.tuples(*[st.floats(-0.4, 0.4)] * 3),
     light_direction=directions,
     lamp_position=st.none() | st.tuples(*[st.floats(-10.0, 10.0)] * 3),
     light_intensity=st.floats(0.0, 50.0),
@@ -39,6 +61,34 @@ specs = st.builds(
 @given(specs)
 def test_json_round_trip(spec):
     assert AppearanceSpec.from_json(spec.to_json()) == spec
+
+
+def test_a_spec_from_before_a_field_existed_still_loads():
+    spec = AppearanceSpec(nosing_strip=NosingStrip())
+    values = json.loads(spec.to_json())
+    for name in ("ambient_tilt", "corner_shade", "light_pattern", "soiling"):
+        del values[name]
+    for name in ("drop_m", "material", "lines", "ends_only", "inset_m", "wear", "missing", "seed"):
+        del values["nosing_strip"][name]
+    del values["tread"]["wear"]
+    assert AppearanceSpec.from_json(json.dumps(values)) == spec
+
+
+@pytest.mark.parametrize(
+    "build, field",
+    [
+        (lambda: LightPattern(strength=1.0), "strength"),
+        (lambda: LightPattern(period_m=(0.1,)), "period_m"),
+        (lambda: Soiling(patch_share=1.5), "patch_share"),
+        (lambda: Soiling(patch_phase=(0.0, 2.0)), "patch_phase"),
+        (lambda: SurfaceLook(wear=4), "wear"),
+        (lambda: NosingStrip(lines=3), "lines"),
+        (lambda: NosingStrip(material="jelly"), "material"),
+    ],
+)
+def test_bad_marks_are_named(build, field):
+    with pytest.raises(SpecError, match=field):
+        build()
 
 
 @given(specs)

@@ -45,7 +45,12 @@ LOOK_DENSITY, LOOK_STRENGTH, LOOK_SHININESS, LOOK_GAIN = 0, 1, 2, 3
 NUM_LOOK = 6
 # Entries of the vector of light settings; see `stair_env.sensors.camera.renderers.shading_tables`.
 LIGHT, LAMP, COLOUR, AMBIENT, EXPOSURE, GLOSS, HORIZON, ZENITH, SHADOWS = 0, 3, 4, 7, 10, 11, 12, 15, 18
-NUM_SETTINGS = 19
+TILT, CORNER, GRIME = 19, 22, 23
+# A pattern's strength, cosine and sine of its angle, then pairs: bars a metre, share in shade, phase; sharpness, warp.
+PATTERN, NUM_PATTERN = 24, 11
+# A lane's gain, middle and inverse half width; patches: strength, two a metre, two phases, threshold, wetness.
+SOIL, NUM_SOIL = 35, 10
+NUM_SETTINGS = 45
 
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _FOUR_FACES, _LIT_OR_NOT, _NO_REGION = np.int32(4), np.int32(2), np.int32(-1)
@@ -56,7 +61,10 @@ _FACES_UP = np.float32(0.7)  # cosine of the steepest face that counts as a trea
 _LIFT_M = np.float32(1e-3)  # shadow rays start this far above the surface
 _OPEN_REACH_M = np.float32(0.12)  # how far from an inner edge ambient light is blocked
 _OPEN_LOSS = np.float32(0.5)  # of ambient light in the inner edge itself: half of the hemisphere is wall
-_AMBIENT_MEAN, _AMBIENT_UP = np.float32(0.78), np.float32(0.22)  # more light comes from above than from below
+_AMBIENT_MEAN = np.float32(0.78)  # of faces at right angles to where most ambient light comes from
+_PATTERN_DROP_M = np.float32(2.5)  # below a lamp a pattern's periods hold at this depth
+_STEEPEST = np.float32(0.1)  # cosine from the vertical beyond which a lamp's pattern grows no coarser
+_PATCH_EDGE = np.float32(6.0)  # how steeply a patch sets in
 # Least-squares fit of 255 sRGB(x) over 0.0031308..1 by x and its 2nd, 4th and 8th root; errs by 0.02 levels at most.
 _CURVE_1, _CURVE_2 = np.float32(-4.67033), np.float32(164.28962)
 _CURVE_4, _CURVE_8 = np.float32(181.07308), np.float32(-85.69578)
@@ -169,6 +177,59 @@ def _towards_light(f, n, light):  # type: ignore[no-untyped-def]
         f[DX + k], f[DY + k], f[DZ + k] = dx, dy, dz
         f[LIT + k] = arriving if (arriving > _ZERO) & (n[ID + k] >= 0) else _ZERO
         f[OPEN + k] = _ONE
+
+
+@kernel
+def _wave(x):  # type: ignore[no-untyped-def]
+    """A wave of period 1 between 0 (at whole numbers) and 1, made of parabolas: vectors have no cosine."""
+    t = _TWO * abs(x - np.floor(x + _HALF))
+    return t * t * (_ONE + _TWO - _TWO * t)
+
+
+@kernel
+def _cast_pattern(f, light, side):  # type: ignore[no-untyped-def]
+    """Take direct light where bars out of sight stand in its way."""
+    is_lamp = light[LAMP] > _ZERO
+    strength, cos, sin = light[PATTERN], light[PATTERN + 1], light[PATTERN + 2]
+    scale_a, scale_b, shade_a, shade_b = light[PATTERN + 3], light[PATTERN + 4], light[PATTERN + 5], light[PATTERN + 6]
+    phase_a, phase_b, sharp, warp = light[PATTERN + 7], light[PATTERN + 8], light[PATTERN + 9], light[PATTERN + 10]
+    s0, s1, s2, t0, t1, t2 = side[0, 0], side[0, 1], side[0, 2], side[1, 0], side[1, 1], side[1, 2]
+    # Distance from the middle of a bar, in periods, at which its shadow begins; below none where it has no width.
+    edge_a = _HALF * shade_a + _HALF / sharp if shade_a > _ZERO else -_ONE
+    edge_b = _HALF * shade_b + _HALF / sharp if shade_b > _ZERO else -_ONE
+    for k in range(AREA):
+        x, y, z = f[PX + k], f[PY + k], f[PZ + k]
+        drop = _PATTERN_DROP_M / max(f[DZ + k], _STEEPEST)
+        s = f[DX + k] * drop if is_lamp else s0 * x + s1 * y + s2 * z
+        t = f[DY + k] * drop if is_lamp else t0 * x + t1 * y + t2 * z
+        a, b = (cos * s + sin * t) * scale_a + phase_a, (cos * t - sin * s) * scale_b + phase_b
+        bent_a = a + warp * (_wave(_HALF * b + _HALF * a) + _wave(np.float32(1.7) * b))
+        bent_b = b + warp * (_wave(_HALF * a - np.float32(0.3) * b) + _wave(np.float32(1.3) * a))
+        from_a, from_b = abs(bent_a - np.floor(bent_a + _HALF)), abs(bent_b - np.floor(bent_b + _HALF))
+        covered = max((edge_a - from_a) * sharp, (edge_b - from_b) * sharp)
+        covered = min(max(covered, _ZERO), _ONE)
+        f[LIT + k] *= _ONE - strength * covered
+
+
+@kernel
+def _soil(f, light):  # type: ignore[no-untyped-def]
+    """Lighten or darken the albedo where it is trodden or damp."""
+    gain, middle, narrow = light[SOIL], light[SOIL + 1], light[SOIL + 2]
+    strength, scale_x, scale_y = light[SOIL + 3], light[SOIL + 4], light[SOIL + 5]
+    phase_x, phase_y, threshold, wetness = light[SOIL + 6], light[SOIL + 7], light[SOIL + 8], light[SOIL + 9]
+    for k in range(AREA):
+        across = (f[PY + k] - middle) * narrow
+        inside = max(_ONE - across * across, _ZERO)
+        trodden = gain * inside * inside if f[NZ + k] > _FACES_UP else _ZERO
+        x = (f[PX + k] + f[PZ + k]) * scale_x + phase_x
+        y = (f[PY + k] + _HALF * f[PZ + k]) * scale_y + phase_y
+        u = x + np.float32(0.35) * _wave(np.float32(1.3) * y) + np.float32(0.12) * _wave(np.float32(4.1) * y)
+        v = y + np.float32(0.35) * _wave(np.float32(1.1) * x) + np.float32(0.12) * _wave(np.float32(3.7) * x)
+        high = np.sqrt(_wave(u) * _wave(v))
+        patch = min(max((high - threshold) * _PATCH_EDGE, _ZERO), _ONE)
+        factor = (_ONE + trodden) * (_ONE - strength * patch)
+        f[RED + k], f[GREEN + k], f[BLUE + k] = f[RED + k] * factor, f[GREEN + k] * factor, f[BLUE + k] * factor
+        f[STRENGTH + k] += wetness * patch
 
 
 @kernel
@@ -304,9 +365,12 @@ def _radiance(f, n, light, pose):  # type: ignore[no-untyped-def]
     hr, hg, hb = light[HORIZON], light[HORIZON + 1], light[HORIZON + 2]
     zr, zg, zb = light[ZENITH] - hr, light[ZENITH + 1] - hg, light[ZENITH + 2] - hb
     ex, ey, ez = pose[3], pose[7], pose[11]
+    tilt_x, tilt_y, tilt_z = light[TILT], light[TILT + 1], light[TILT + 2]
+    corner, grime = light[CORNER] / _OPEN_LOSS, light[GRIME] / _OPEN_LOSS
     for k in range(AREA):
         nx, ny, nz = f[NX + k], f[NY + k], f[NZ + k]
-        dx, dy, dz, lit, opened = f[DX + k], f[DY + k], f[DZ + k], f[LIT + k], f[OPEN + k]
+        dx, dy, dz, lit, closed = f[DX + k], f[DY + k], f[DZ + k], f[LIT + k], _ONE - f[OPEN + k]
+        opened, clean = _ONE - corner * closed, _ONE - grime * closed
         vx, vy, vz = ex - f[PX + k], ey - f[PY + k], ez - f[PZ + k]
         to_eye = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
         to_light = _ONE / np.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
@@ -319,14 +383,15 @@ def _radiance(f, n, light, pose):  # type: ignore[no-untyped-def]
         shine = strength * lobe * lobe * (_HALF + _LOBE_PEAK * shininess) * lit
         grazing = _ONE - abs(nx * vx + ny * vy + nz * vz) * to_eye
         mirror = strength * grazing * grazing * grazing * opened
-        ambient = opened * (_AMBIENT_MEAN + _AMBIENT_UP * nz)
+        ambient = opened * clean * (_AMBIENT_MEAN + tilt_x * nx + tilt_y * ny + tilt_z * nz)
+        diffuse = clean * lit
         up = -vz * to_eye  # of a ray into the sky
         dim = _ONE if up >= _ZERO else _BELOW_HORIZON
         high = np.sqrt(up if up > _ZERO else _ZERO)
         hit = n[ID + k] >= 0
-        red = f[RED + k] * (ar * ambient + lr * lit) + shine * lr + mirror * ar
-        green = f[GREEN + k] * (ag * ambient + lg * lit) + shine * lg + mirror * ag
-        blue = f[BLUE + k] * (ab * ambient + lb * lit) + shine * lb + mirror * ab
+        red = f[RED + k] * (ar * ambient + lr * diffuse) + shine * lr + mirror * ar
+        green = f[GREEN + k] * (ag * ambient + lg * diffuse) + shine * lg + mirror * ag
+        blue = f[BLUE + k] * (ab * ambient + lb * diffuse) + shine * lb + mirror * ab
         f[RED + k] = exposure * (red if hit else dim * (hr + zr * high))
         f[GREEN + k] = exposure * (green if hit else dim * (hg + zg * high))
         f[BLUE + k] = exposure * (blue if hit else dim * (hb + zb * high))
@@ -547,10 +612,14 @@ def shade_rows(  # type: ignore[no-untyped-def]
                 _find_texels(f, n, pose, pixel_slope)
                 _fetch_texels(n, texels)
                 _blend_texels(f, n)
+                if light[SOIL] != _ZERO or light[SOIL + 3] != _ZERO:
+                    _soil(f, light)
                 for j in range(_neighbours(tile_low, tile_high, low, high, others)):
                     i = others[j]
                     if found > 1 or present[0] != i:
                         _close_off(f, rotations[i], centres[i], sizes[i], kinds[i] == BOX)
+                if light[PATTERN] > _ZERO:
+                    _cast_pattern(f, light, side)
                 if light[SHADOWS] > _ZERO and not _is_dark(f):
                     for j in range(_occluders(tile_low, tile_high, light, side, low, high, solid_side, others)):
                         i = others[j]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stair_env.scene.appearance import AppearanceSpec, SurfaceLook
+from stair_env.scene.marks import LightPattern, Soiling
 from stair_env.scene.shapes import Shape
 from stair_env.sensors.camera.renderers import shading
 
@@ -68,7 +70,7 @@ class LookTable:
 
     def _build(self) -> Looks:
         looks = list(self._numbers)
-        textures = {(look.material, look.seed): 0 for look in looks}
+        textures = {(look.material, look.seed, look.wear): 0 for look in looks}
         for place, key in enumerate(textures):
             textures[key] = place
         values = np.zeros((len(looks), shading.NUM_LOOK), np.float32)
@@ -81,7 +83,9 @@ class LookTable:
             row[shading.LOOK_GAIN :] = np.array(look.gain) / 255.0**2  # the kernel squares texels of 0..255
         return Looks(
             texels=np.concatenate([mip_levels(*key) for key in textures]),
-            base=np.array([textures[look.material, look.seed] * shading.MIP_TEXELS for look in looks], np.int32),
+            base=np.array(
+                [textures[look.material, look.seed, look.wear] * shading.MIP_TEXELS for look in looks], np.int32
+            ),
             values=values,
         )
 
@@ -92,9 +96,10 @@ def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=MIP_CACHE)
-def mip_levels(material: str, seed: int) -> np.ndarray:
+def mip_levels(material: str, seed: int, wear: int = 0) -> np.ndarray:
     """(MIP_TEXELS,) int32 texels of all levels, finest first; see `shading.shade_rows` for their code."""
-    image = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)[SurfaceLook(material, seed).texture.albedo]
+    albedo = SurfaceLook(material, seed, wear=wear).texture.albedo
+    image = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)[albedo]
     if image.shape[0] != shading.MIP_SIDE:
         raise ValueError(f"the texture of {material!r} has {image.shape[0]} rows, must have {shading.MIP_SIDE}")
     levels = []
@@ -118,8 +123,34 @@ def light_settings(appearance: AppearanceSpec, shadows: bool) -> np.ndarray:
     settings[shading.GLOSS] = appearance.specular_strength
     settings[shading.HORIZON : shading.HORIZON + 3] = appearance.sky_horizon
     settings[shading.ZENITH : shading.ZENITH + 3] = appearance.sky_zenith
-    settings[shading.SHADOWS] = shadows and appearance.shadows and appearance.light_intensity > 0.0
+    casts = shadows and appearance.shadows and appearance.light_intensity > 0.0
+    settings[shading.SHADOWS] = casts
+    settings[shading.TILT : shading.TILT + 3] = appearance.ambient_tilt
+    settings[shading.CORNER] = appearance.corner_shade
+    if appearance.soiling is not None:
+        _set_soiling(settings, appearance.soiling)
+    if appearance.light_pattern is not None and casts:
+        _set_pattern(settings, appearance.light_pattern)
     return settings
+
+
+def _set_pattern(settings: np.ndarray, pattern: LightPattern) -> None:
+    """Write the entries from PATTERN on."""
+    first, second = pattern.period_m
+    settings[shading.PATTERN : shading.PATTERN + shading.NUM_PATTERN] = (
+        pattern.strength, math.cos(pattern.angle_rad), math.sin(pattern.angle_rad), 1.0 / first, 1.0 / second,
+        *pattern.shade, *pattern.phase, 1.0 / pattern.softness, pattern.warp,
+    )  # fmt: skip
+
+
+def _set_soiling(settings: np.ndarray, soiling: Soiling) -> None:
+    """Write GRIME and the entries from SOIL on."""
+    settings[shading.GRIME] = soiling.grime
+    along, across = soiling.patch_period_m
+    settings[shading.SOIL : shading.SOIL + shading.NUM_SOIL] = (
+        soiling.lane_gain, soiling.lane_y, 1.0 / soiling.lane_half_width, soiling.patch_strength, 1.0 / along,
+        1.0 / across, *soiling.patch_phase, 1.0 - soiling.patch_share, soiling.wetness,
+    )  # fmt: skip
 
 
 def across(direction: np.ndarray) -> np.ndarray:

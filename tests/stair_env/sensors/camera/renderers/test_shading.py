@@ -7,6 +7,7 @@ import pytest
 from stair_env.common.transforms import look_at
 from stair_env.intrinsics import Intrinsics
 from stair_env.scene.appearance import AppearanceSpec, SurfaceLook
+from stair_env.scene.marks import LightPattern, Soiling
 from stair_env.scene.shapes import Shape, box_between
 from stair_env.sensors.camera.renderers import make_renderer
 from stair_env.sensors.camera.renderers.shading import MIP_TEXELS
@@ -171,3 +172,54 @@ def test_smoothing_blends_borders_and_leaves_the_rest():
     changed = (rough.rgb != smooth.rgb).any(axis=-1)
     assert changed[border].any()
     assert not (changed & away).any()
+
+
+SUN_ABOVE = {"light_direction": (0.0, 0.0, 1.0), "ambient_level": 0.2, "light_intensity": 0.7}
+
+
+@pytest.mark.parametrize("where", [SUN_ABOVE, {**SUN_ABOVE, "lamp_position": (0.0, 0.0, 3.0), "light_intensity": 6.0}])
+def test_bars_out_of_sight_take_their_share_of_the_light(where):
+    plain = linear(draw(FLOOR, appearance=look(**where), textures=False))
+    bars = LightPattern(period_m=(0.1, 1.0), shade=(0.4, 0.0), softness=0.02, strength=0.9)
+    barred = linear(draw(FLOOR, appearance=look(**where, light_pattern=bars), textures=False))
+    assert (barred <= plain + 0.01).all()
+    dark = barred.sum(-1) < 0.7 * plain.sum(-1)
+    assert 0.3 < dark.mean() < 0.5
+    straight = dark.mean(axis=0), dark.mean(axis=1)  # bars run along rows or columns of the image
+    assert max(np.ptp(profile) for profile in straight) > 0.9
+
+
+def test_bars_take_nothing_where_shadows_are_off():
+    bars = LightPattern(strength=0.9)
+    plain, barred = (draw(FLOOR, appearance=look(light_pattern=p), shadows=False).rgb for p in (None, bars))
+    assert np.array_equal(plain, barred)
+
+
+def test_a_lane_is_lighter_in_its_middle_and_patches_are_darker():
+    def shade(**fields):
+        return linear(draw(FLOOR, appearance=look(soiling=Soiling(**fields)), textures=False)).sum(-1)
+
+    new = shade()
+    ratio = (shade(lane_gain=0.5, lane_half_width=0.5) / new).mean(axis=0)
+    assert ratio[48] == pytest.approx(1.5, abs=0.05)
+    assert ratio[0] == pytest.approx(1.0, abs=0.02) == ratio[-1]
+    patched = shade(patch_strength=0.5, patch_period_m=(0.8, 0.8), patch_share=0.5) / new
+    assert patched.min() == pytest.approx(0.5, abs=0.05) and patched.max() == pytest.approx(1.0, abs=0.05)
+    assert 0.1 < (patched < 0.75).mean() < 0.9
+
+
+def test_soft_light_comes_from_where_it_is_tilted_to_and_dirt_lies_in_corners():
+    wall = box_between((0.3, -3.0, 0.0), (0.5, 3.0, 2.0), "wall")
+    pose = look_at((-1.0, 0.0, 1.0), (0.3, 0.0, 0.2))
+
+    def shade(**fields):
+        return linear(draw(FLOOR, wall, appearance=look(light_intensity=0.0, **fields), pose=pose, textures=False)).sum(
+            -1
+        )
+
+    level, from_behind = shade(ambient_tilt=(0.0, 0.0, 0.0)), shade(ambient_tilt=(-0.3, 0.0, 0.0))
+    assert from_behind[5].mean() > 1.2 * level[5].mean()  # the wall, which faces the camera
+    assert from_behind[-5].mean() == pytest.approx(level[-5].mean(), rel=0.02)  # the floor
+    dirt = shade(soiling=Soiling(grime=0.9)) / shade()
+    assert dirt.min() < 0.4 and dirt[-5].mean() > 0.97
+    assert (shade(corner_shade=0.9) / shade(corner_shade=0.1)).min() < 0.3

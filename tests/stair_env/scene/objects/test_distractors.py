@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stair_env.common.validation import SpecError
 from stair_env.scene.appearance import AppearanceSpec
-from stair_env.scene.distractors import DISTRACTOR_KINDS, FLAT_KINDS, DistractorSpec
+from stair_env.scene.objects.distractors import DISTRACTOR_KINDS, FLAT_KINDS, DistractorSpec
 
 lengths = st.floats(0.2, 3.0)
 specs = st.builds(
@@ -24,9 +24,16 @@ specs = st.builds(
 )
 
 
+def extents(shape):
+    """The entries of its size that must be positive."""
+    return shape.size[: {"box": 3, "sphere": 1}.get(shape.kind, 2)]
+
+
 def corners(shape):
     """(8, 3) corners of a shape's bounding box in the world."""
-    half = shape.size if shape.kind == "box" else (shape.size[0], shape.size[0], shape.size[1])
+    radius, length, _ = shape.size
+    round_half = {"sphere": radius, "capsule": length + radius}.get(shape.kind, length)
+    half = shape.size if shape.kind == "box" else (radius, radius, round_half)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     return Rotation.from_quat(shape.orientation).apply(signs * half) + shape.position
 
@@ -37,7 +44,7 @@ def test_shapes_are_finite_solid_and_have_a_look(spec):
     assert spec.shapes
     for shape in spec.shapes:
         assert np.isfinite([*shape.position, *shape.size, *shape.orientation]).all()
-        assert min(shape.size[: 3 if shape.kind == "box" else 2]) > 0.0
+        assert min(extents(shape)) > 0.0
         assert np.linalg.norm(shape.orientation) == pytest.approx(1.0)
         assert shape.surface.startswith(f"distractor:{spec.kind}")
         AppearanceSpec().look(shape.surface)

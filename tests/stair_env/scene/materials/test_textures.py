@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from stair_env.common.validation import SpecError
-from stair_env.scene.textures import MATERIALS, TEXTURE_SIZE_PX, make_texture, noise
+from stair_env.scene.materials.textures import MATERIALS, TEXTURE_SIZE_PX, make_texture, noise
 
 
 def roughness(values):
@@ -34,6 +34,17 @@ class TestMaterials:
                 inside = np.abs(np.diff(albedo, axis=axis)).mean(axis=(1 - axis, 2))
                 wrap = roughness(np.take(albedo, 0, axis) - np.take(albedo, -1, axis))
                 assert wrap <= inside.max() + 2.0  # a seam would be steeper than any step inside
+
+    def test_wear_tiles_too_and_grows(self, material):
+        new = make_texture(material, 2).albedo.astype(float)
+        change = []
+        for wear in (1, 3):
+            albedo = make_texture(material, 2, wear).albedo.astype(float)
+            change.append(np.abs(albedo - new).mean())
+            for axis in (0, 1):
+                inside = np.abs(np.diff(albedo, axis=axis)).mean(axis=(1 - axis, 2))
+                assert roughness(np.take(albedo, 0, axis) - np.take(albedo, -1, axis)) <= inside.max() + 2.0
+        assert 0.1 < change[0] < change[1] < 80.0
 
     def test_is_not_flat_and_not_clipped(self, material):
         albedo = make_texture(material, 5).albedo

@@ -1,4 +1,4 @@
-"""Things that look like stairs and are not: stripes, seams, planks, shelves, ramps, fences, blinds.
+"""Things that look like stairs and are not, and things that stand about and hide parts of them.
 
 A distractor is laid out in its own frame (x forward, y left, z up, origin on the floor below its middle), then turned
 about the vertical and put in its place.
@@ -7,15 +7,16 @@ about the vertical and put in its place.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from stair_env.common.validation import SpecError, check_choice, check_range
-from stair_env.scene.shapes import IDENTITY, Quaternion, Shape, ShapeKind, Vector3
+from stair_env.scene.objects.clutter import CLUTTER
+from stair_env.scene.objects.look_alikes import LOOK_ALIKES
+from stair_env.scene.objects.parts import PAINT_THICKNESS_M, Builder, Extent, Part, box
+from stair_env.scene.shapes import IDENTITY, Quaternion, Shape, Vector3
 
-PAINT_THICKNESS_M = 0.002  # of what is painted or stuck on: a depth camera cannot tell it from the floor
 MAX_PARTS = 20  # bars, slats, stripes: a renderer pays for each
 
 
@@ -74,19 +75,7 @@ class DistractorSpec:
         return tuple(_place(self, part, collides) for part in parts)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A solid in the distractor's own frame; `pitch` turns it about y, then `yaw` about z, radians."""
-
-    centre: Vector3
-    size: Vector3
-    pitch: float = 0.0
-    yaw: float = 0.0
-    kind: ShapeKind = "box"
-    look_shift: int = 0
-
-
-def _place(spec: DistractorSpec, part: _Part, collides: bool) -> Shape:
+def _place(spec: DistractorSpec, part: Part, collides: bool) -> Shape:
     """Turn and move a part into the world frame."""
     cos, sin = math.cos(spec.yaw_rad), math.sin(spec.yaw_rad)
     x, y, z = part.centre
@@ -95,7 +84,8 @@ def _place(spec: DistractorSpec, part: _Part, collides: bool) -> Shape:
         spec.position[1] + sin * x + cos * y,
         spec.position[2] + z,
     )
-    surface = f"distractor:{spec.kind}:{spec.look + part.look_shift}"
+    look = spec.look + part.look_shift if part.look is None else part.look
+    surface = f"distractor:{spec.kind}:{look}"
     return Shape(part.kind, position, part.size, _yaw_pitch(spec.yaw_rad + part.yaw, part.pitch), surface, collides)
 
 
@@ -107,18 +97,12 @@ def _yaw_pitch(yaw: float, pitch: float) -> Quaternion:
     return (-sy * sp, cy * sp, sy * cp, cy * cp)
 
 
-def _box(low: Vector3, high: Vector3, look_shift: int = 0) -> _Part:
-    centre = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2)
-    half = ((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, (high[2] - low[2]) / 2)
-    return _Part(centre, half, look_shift=look_shift)
-
-
-def _stripes(spec: DistractorSpec, share: float) -> list[_Part]:
+def _stripes(spec: Extent, share: float) -> list[Part]:
     """Painted bars across y, repeating along x; `share` of the period is paint."""
     length, width, _ = spec.size
     period = length / spec.count
     return [
-        _box(
+        box(
             (-length / 2 + k * period, -width / 2, 0.0),
             (-length / 2 + (k + share) * period, width / 2, PAINT_THICKNESS_M),
         )
@@ -126,30 +110,30 @@ def _stripes(spec: DistractorSpec, share: float) -> list[_Part]:
     ]
 
 
-def _crosswalk(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _crosswalk(spec: Extent, rng: np.random.Generator) -> list[Part]:
     return _stripes(spec, float(rng.uniform(0.4, 0.6)))
 
 
-def _floor_stripes(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _floor_stripes(spec: Extent, rng: np.random.Generator) -> list[Part]:
     return _stripes(spec, min(0.5, float(rng.uniform(0.03, 0.1)) * spec.count / spec.size[0]))
 
 
-def _tile_seams(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _tile_seams(spec: Extent, rng: np.random.Generator) -> list[Part]:
     return _stripes(spec, min(0.5, float(rng.uniform(0.006, 0.02)) * spec.count / spec.size[0]))
 
 
-def _mat(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _mat(spec: Extent, rng: np.random.Generator) -> list[Part]:
     length, width, _ = spec.size
     thickness = float(rng.uniform(0.005, 0.015))
     border = 0.06
     inner = (length / 2 - border, width / 2 - border)
-    parts = [_box((-length / 2, -width / 2, 0.0), (length / 2, width / 2, thickness))]
+    parts = [box((-length / 2, -width / 2, 0.0), (length / 2, width / 2, thickness))]
     if min(inner) > 0.05:
-        parts.append(_box((-inner[0], -inner[1], 0.0), (inner[0], inner[1], thickness + 0.002), look_shift=1))
+        parts.append(box((-inner[0], -inner[1], 0.0), (inner[0], inner[1], thickness + 0.002), look_shift=1))
     return parts
 
 
-def _planks(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _planks(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """Boards lying about, side by side along x with gaps, none quite straight."""
     length, width, _ = spec.size
     period = length / spec.count
@@ -161,76 +145,74 @@ def _planks(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
             float(rng.uniform(0.008, 0.022)),
         )
         centre = (-length / 2 + (k + 0.5) * period, float(rng.normal(0.0, 0.03)), half[2])
-        parts.append(_Part(centre, half, yaw=float(rng.normal(0.0, 0.03))))
+        parts.append(Part(centre, half, yaw=float(rng.normal(0.0, 0.03))))
     return parts
 
 
-def _shelf(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _shelf(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """Boards between two cheeks, open towards -x, with a few boxes on them."""
     depth, width, height = spec.size
     board = 0.012
     parts = [
-        _box((-depth / 2, side * width / 2 - board, 0.0), (depth / 2, side * width / 2 + board, height))
+        box((-depth / 2, side * width / 2 - board, 0.0), (depth / 2, side * width / 2 + board, height))
         for side in (-1, 1)
     ]
     levels = np.linspace(0.06, height - board, max(2, min(spec.count, 9)))
     for z in levels:
-        parts.append(_box((-depth / 2, -width / 2, float(z) - board), (depth / 2, width / 2, float(z) + board)))
+        parts.append(box((-depth / 2, -width / 2, float(z) - board), (depth / 2, width / 2, float(z) + board)))
     clearance = float(levels[1] - levels[0]) - 3 * board
     for z in levels[:-1]:
         if rng.random() < 0.6 and clearance > 0.08:
             y = float(rng.uniform(-0.3, 0.3)) * width
             half = float(rng.uniform(0.06, 0.18)) * width
             top = float(z) + board + clearance * float(rng.uniform(0.4, 0.95))
-            parts.append(_box((-depth * 0.4, y - half, float(z) + board), (depth * 0.35, y + half, top), look_shift=1))
+            parts.append(box((-depth * 0.4, y - half, float(z) + board), (depth * 0.35, y + half, top), look_shift=1))
     return parts
 
 
-def _ramp(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _ramp(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """An inclined slab that rises along +x to the height of its size, and the block it ends on."""
     length, width, height = spec.size
     thickness, rise = 0.04, min(height, 0.8 * length)
     pitch = math.atan2(rise, length)
     half_length = math.hypot(length, rise) / 2
     middle = (-0.5 * thickness * -math.sin(pitch), 0.0, rise / 2 - 0.5 * thickness * math.cos(pitch))
-    block = _box((length / 2, -width / 2, 0.0), (length / 2 + float(rng.uniform(0.3, 1.0)), width / 2, rise))
-    return [_Part(middle, (half_length, width / 2, thickness / 2), pitch=-pitch), block]
+    block = box((length / 2, -width / 2, 0.0), (length / 2 + float(rng.uniform(0.3, 1.0)), width / 2, rise))
+    return [Part(middle, (half_length, width / 2, thickness / 2), pitch=-pitch), block]
 
 
-def _fence(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _fence(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """Bars between two posts: a ladder of horizontal ones, or pickets."""
     _, width, height = spec.size
     radius = float(rng.uniform(0.01, 0.025))
-    posts = [_Part((0.0, side * width / 2, height / 2), (radius * 1.6, radius * 1.6, height / 2)) for side in (-1, 1)]
+    posts = [Part((0.0, side * width / 2, height / 2), (radius * 1.6, radius * 1.6, height / 2)) for side in (-1, 1)]
     if rng.random() < 0.65:
         levels = np.linspace(0.12, height - radius, spec.count)
-        return posts + [_Part((0.0, 0.0, float(z)), (radius, width / 2, radius)) for z in levels]
+        return posts + [Part((0.0, 0.0, float(z)), (radius, width / 2, radius)) for z in levels]
     places = np.linspace(-width / 2, width / 2, spec.count + 2)[1:-1]
-    bars = [_Part((0.0, float(y), height / 2), (radius, radius, height / 2 - 0.05)) for y in places]
-    rails = [_Part((0.0, 0.0, float(z)), (radius, width / 2, radius)) for z in (0.1, height - 0.06)]
+    bars = [Part((0.0, float(y), height / 2), (radius, radius, height / 2 - 0.05)) for y in places]
+    rails = [Part((0.0, 0.0, float(z)), (radius, width / 2, radius)) for z in (0.1, height - 0.06)]
     return posts + rails + bars
 
 
-def _blinds(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _blinds(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """Horizontal slats in front of a panel that faces -x."""
     _, width, height = spec.size
     tilt = float(rng.uniform(-0.9, 0.9))
     pitch = height / spec.count
-    panel = _box((0.03, -width / 2 - 0.05, 0.0), (0.05, width / 2 + 0.05, height), look_shift=1)
+    panel = box((0.03, -width / 2 - 0.05, 0.0), (0.05, width / 2 + 0.05, height), look_shift=1)
     slats = [
-        _Part(
-            (0.0, 0.0, (k + 0.5) * pitch), (min(0.42 * pitch, 0.05), width / 2, 0.002), pitch=tilt + math.pi / 2 * 0.6
-        )
+        Part((0.0, 0.0, (k + 0.5) * pitch), (min(0.42 * pitch, 0.05), width / 2, 0.002), pitch=tilt + math.pi / 2 * 0.6)
         for k in range(spec.count)
     ]
     return [panel, *slats]
 
 
-def _bench(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _bench(spec: Extent, rng: np.random.Generator) -> list[Part]:
     depth, width, height = spec.size
     seat = 0.03
     parts = [
-        _box(
+        box(
             (-depth / 2, -width / 2 + place * (width - 0.1), 0.0),
             (depth / 2, -width / 2 + place * (width - 0.1) + 0.1, height - seat),
         )
@@ -241,14 +223,14 @@ def _bench(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
     for k in range(slats):
         gap = 0.01 if slats > 1 else 0.0
         low = -depth / 2 + k * pitch + gap
-        parts.append(_box((low, -width / 2, height - seat), (low + pitch - 2 * gap, width / 2, height), look_shift=1))
+        parts.append(box((low, -width / 2, height - seat), (low + pitch - 2 * gap, width / 2, height), look_shift=1))
     return parts
 
 
-def _boxes(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _boxes(spec: Extent, rng: np.random.Generator) -> list[Part]:
     """Crates stacked and set side by side."""
     length, width, height = spec.size
-    parts: list[_Part] = []
+    parts: list[Part] = []
     for k in range(min(spec.count, 6)):
         scale = float(rng.uniform(0.5, 1.0))
         half = (length / 2 * scale, width / 2 * float(rng.uniform(0.6, 1.0)), height / 2 * float(rng.uniform(0.5, 1.0)))
@@ -258,18 +240,17 @@ def _boxes(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
             centre = (below.centre[0], below.centre[1], below.centre[2] + below.size[2] + half[2])
         else:
             centre = (float(rng.normal(0.0, 0.05)), (k // 2) * width * 1.15, half[2])
-        parts.append(_Part(centre, half, yaw=float(rng.normal(0.0, 0.2)), look_shift=k))
+        parts.append(Part(centre, half, yaw=float(rng.normal(0.0, 0.2)), look_shift=k))
     return parts
 
 
-def _column(spec: DistractorSpec, rng: np.random.Generator) -> list[_Part]:
+def _column(spec: Extent, rng: np.random.Generator) -> list[Part]:
     radius, _, height = spec.size
-    foot = _Part((0.0, 0.0, 0.06), (radius * 0.75, radius * 0.75, 0.06))
-    return [foot, _Part((0.0, 0.0, height / 2), (radius / 2, height / 2, 0.0), kind="cylinder")]
+    foot = Part((0.0, 0.0, 0.06), (radius * 0.75, radius * 0.75, 0.06))
+    return [foot, Part((0.0, 0.0, height / 2), (radius / 2, height / 2, 0.0), kind="cylinder")]
 
 
-_Builder = Callable[[DistractorSpec, np.random.Generator], list[_Part]]
-_BUILDERS: dict[str, tuple[_Builder, bool]] = {  # and whether it collides
+_BUILDERS: dict[str, tuple[Builder, bool]] = {  # and whether it collides
     "crosswalk": (_crosswalk, False),
     "floor_stripes": (_floor_stripes, False),
     "tile_seams": (_tile_seams, False),
@@ -282,6 +263,8 @@ _BUILDERS: dict[str, tuple[_Builder, bool]] = {  # and whether it collides
     "bench": (_bench, True),
     "boxes": (_boxes, True),
     "column": (_column, True),
+    **LOOK_ALIKES,
+    **CLUTTER,
 }
 DISTRACTOR_KINDS: tuple[str, ...] = tuple(_BUILDERS)
 FLAT_KINDS: tuple[str, ...] = tuple(kind for kind, (_, collides) in _BUILDERS.items() if not collides)

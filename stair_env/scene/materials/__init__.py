@@ -1,0 +1,1 @@
+"""What surfaces are made of: textures, their painters, and wear."""
