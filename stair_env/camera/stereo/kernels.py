@@ -65,9 +65,7 @@ def _smaller_step(w: float, before_m: float, after_m: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def align(
-    depth_m: np.ndarray, source: np.ndarray, shift_x_m: float, target: np.ndarray, out: np.ndarray
-) -> None:
+def align(depth_m: np.ndarray, source: np.ndarray, shift_x_m: float, target: np.ndarray, out: np.ndarray) -> None:
     """Draw each reading into another camera's image as the rectangle that its pixel covers there; the nearest wins.
 
     Args:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -13,6 +15,7 @@ BM_PRE_FILTER_CAP = 31
 
 def make_matcher(config: StereoConfig) -> cv2.StereoMatcher:
     """OpenCV's matcher with a configuration's settings."""
+    matcher: Any
     if config.matcher == "bm":
         matcher = cv2.StereoBM.create(config.max_disparity_px, max(config.block_px, 5))
         matcher.setPreFilterCap(BM_PRE_FILTER_CAP)
@@ -48,7 +51,7 @@ def match(left: np.ndarray, right: np.ndarray, config: StereoConfig, matcher: cv
     """
     disparity = matcher.compute(left, right).astype(np.float32) * np.float32(1.0 / SUBPIXELS)
     if config.texture_threshold > 0.0 and config.matcher == "sgbm":
-        contrast = cv2.absdiff(left[:, 1:], left[:, :-1]).astype(np.float32)
+        contrast: np.ndarray = cv2.absdiff(left[:, 1:], left[:, :-1]).astype(np.float32)
         contrast = cv2.copyMakeBorder(contrast, 0, 0, 0, 1, cv2.BORDER_REPLICATE)
         side = config.block_px + 4
         disparity[cv2.boxFilter(contrast, -1, (side, side)) < config.texture_threshold] = 0.0
