@@ -86,8 +86,8 @@ class DepthErrorConfig:
     edge_jitter_px: float = 0.7
     fattened_share: float = 0.2
     window_px: float = 5.0
-    crease_window_px: tuple[float, float] = (7.0, 17.0)
-    structured_px: float = 0.06
+    crease_window_px: tuple[float, float] = (9.0, 19.0)
+    structured_px: float = 0.12
     still_share: float = 0.6
     single_holes: float = 0.003
     lost_treads: float = 0.4
@@ -261,7 +261,7 @@ class DepthErrorModel:
         depth_m = unit.off_colour(np.ascontiguousarray(depth_m), intrinsics, intrinsics.fx / self.config.focal_px)
         buffers = self._borrow_buffers(depth_m.shape)
         kernels.to_disparity(depth_m, self._focal_baseline(), buffers[0])
-        corners = later(lambda: hole_corners(self._effective, unit.severity, rgb, buffers[0]))
+        corners = later(lambda: hole_corners(self._effective, unit, rgb, buffers[0]))
         return lambda: self._measure(depth_m, intrinsics, unit, offsets, buffers, corners)
 
     def _place_in_tables(self, rng: np.random.Generator, standing: bool) -> np.ndarray:
@@ -328,7 +328,7 @@ class DepthErrorModel:
             measured,
             depth_m,
             self._focal_baseline(),
-            noise_px(config),
+            noise_px(config, unit),
             np.float32(config.disparity_quantum_px),
             np.float32(1.0 + unit.scale_bias),
             np.float32(config.depth_unit_m),

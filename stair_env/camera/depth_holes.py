@@ -8,6 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from stair_env.camera.depth_error import DepthErrorConfig
+    from stair_env.camera.depth_unit import DepthUnit
 
 DARK_FRAME_LEVEL = 12.0  # mean of 0-255 up to which brightness says nothing about reflectance
 LIT_FRAME_LEVEL = 80.0  # and from which it is taken at its word
@@ -18,12 +19,12 @@ SHARP_BEND_PX = 0.5  # second difference of disparity over cells from which a cr
 TEXTURE_HELPS = 0.7  # share of those losses that full texture saves
 
 
-def hole_corners(config: DepthErrorConfig, severity: float, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+def hole_corners(config: DepthErrorConfig, unit: DepthUnit, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
     """Probabilities of a hole and of a band lost along the rows, at the corners of the cells.
 
     Args:
         config: what is wrong with the depth.
-        severity: factor on the bands of this unit in its light.
+        unit: of the camera, in its light.
         rgb: uint8 (H, W, 3).
         disparity: float32 (H, W), 0 where nothing is.
 
@@ -39,8 +40,8 @@ def hole_corners(config: DepthErrorConfig, severity: float, rgb: np.ndarray, dis
     level, texture, glare, mean = (np.empty((rows, columns), np.float32) for _ in range(4))
     kernels.cell_statistics(np.ascontiguousarray(rgb), disparity, level, texture, glare, mean)
     focal_baseline = np.float32(config.focal_px * config.baseline_m)
-    holes = hole_probability(config, level, texture, glare, mean / focal_baseline)
-    return np.stack([_corner_means(holes), _corner_means(lost_probability(config, severity, texture, mean))])
+    holes = hole_probability(config, level, texture, glare, mean / focal_baseline, unit.reach)
+    return np.stack([_corner_means(holes), _corner_means(lost_probability(config, unit.severity, texture, mean))])
 
 
 def lost_probability(
@@ -68,7 +69,12 @@ def lost_probability(
 
 
 def hole_probability(
-    config: DepthErrorConfig, level: np.ndarray, texture: np.ndarray, glare: np.ndarray, inverse_depth: np.ndarray
+    config: DepthErrorConfig,
+    level: np.ndarray,
+    texture: np.ndarray,
+    glare: np.ndarray,
+    inverse_depth: np.ndarray,
+    reach_factor: float = 1.0,
 ) -> np.ndarray:
     """How likely matching fails.
 
@@ -82,12 +88,15 @@ def hole_probability(
         texture: horizontal contrast, 0-255.
         glare: share of saturated pixels.
         inverse_depth: 1 / metres, 0 for nothing there.
+        reach_factor: on the projector's range, below 1 where other light washes the pattern out.
 
     Returns:
         Probabilities of the same shape, float32, at most MAX_DROP_PROBABILITY.
     """
     reflectance = _reflectance(level)
-    reach = np.minimum(config.projector_range_m * inverse_depth, 1e3)  # the bound keeps its square finite
+    reach = np.minimum(
+        reach_factor * config.projector_range_m * inverse_depth, 1e3
+    )  # the bound keeps its square finite
     pattern = np.minimum(reflectance * reach**2, 1.0)
     own = np.minimum(texture / FULL_TEXTURE_LEVEL, 1.0)
     unmatched = (1.0 - own) * (1.0 - pattern)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 BROAD_PX = 40.0  # of the depth imager: correlation of a unit's own error, a tenth of the image's height
 STREAK_PX = 2.5  # of the depth imager: correlation of lost bands and false patches across the rows
 STREAK_STRETCH = 10.0  # and along them, relative to that
-FALSE_IN_BANDS = 0.25  # share of a lost band that reports a false distance instead of none
+FALSE_IN_BANDS = 0.12  # share of a lost band that reports a false distance instead of none
 FALSE_FACTORS = (1.3, 2.2)  # on the disparity of false patches: the next step, or half the distance
 FILTERED_NOISE, FILTERED_FRESH = 0.6, 0.4  # what the SDK's filters leave of the noise, and of its change while standing
 FILTERED_SPECKLE = 0.3  # of the small blobs
@@ -56,10 +56,11 @@ def after_filters(config: DepthErrorConfig) -> DepthErrorConfig:
     )
 
 
-def noise_px(config: DepthErrorConfig) -> tuple[np.float32, np.float32, np.float32]:
+def noise_px(config: DepthErrorConfig, unit: DepthUnit) -> tuple[np.float32, np.float32, np.float32]:
     """Standard deviations of the disparity: of a frame, of a standing camera, and of a unit."""
-    fresh = config.disparity_noise_px * math.sqrt(1.0 - config.still_share)
-    held = config.disparity_noise_px * math.sqrt(config.still_share)
+    total = config.disparity_noise_px * unit.noise
+    fresh = total * math.sqrt(1.0 - config.still_share)
+    held = total * math.sqrt(config.still_share)
     return np.float32(fresh), np.float32(held), np.float32(config.structured_px)
 
 
@@ -78,7 +79,7 @@ def noise_tables(window_px: float, magnification: float, width: int) -> tuple[np
     # Averaging over a window leaves noise as wide as the window (a Gaussian of a third of its side), and the residual
     # error of subpixel interpolation adds the broad dents that planes show in point clouds.
     return (
-        gaussian_tile((window / 3.0, 1.5 * window), (0.7, 0.3), width, 0),
+        gaussian_tile((window / 3.0, 1.5 * window), (0.85, 0.15), width, 0),
         gaussian_tile((broad,), (1.0,), width, 2),
         uniform_tile((window / 3.0, window), (0.5, 0.5), width + 8, 1),
         uniform_tile((0.4 * streak, streak), (0.3, 0.7), width + 8, 3, STREAK_STRETCH),
