@@ -17,15 +17,15 @@ import numpy as np
 
 from stair_env.common.validation import SpecError, check_range, from_fields
 from stair_env.intrinsics import D435I_COLOUR_OFFSET_M, Intrinsics
-from stair_env.sensors.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile, uniform_tile
+from stair_env.sensors.camera.depth_holes import hole_corners
+from stair_env.sensors.camera.depth_noise import after_filters, check_window, false_patches, noise_px, noise_tables
+from stair_env.sensors.camera.depth_unit import DepthUnit
+from stair_env.sensors.camera.noise_tiles import TILE_SIDE_PX
 
 EDGE_JUMP_PX = 0.5  # disparity step below which a matching window spans an edge without harm
-DARK_FRAME_LEVEL = 12.0  # mean of 0-255 up to which brightness says nothing about reflectance
-LIT_FRAME_LEVEL = 80.0  # and from which it is taken at its word
-DARK_SURFACE_SHARE = 0.25  # of the frame's mean level, under which a surface returns less of the pattern
-FULL_TEXTURE_LEVEL = 6.0  # contrast of 0-255 from which matching needs no pattern
-MAX_DROP_PROBABILITY = 0.97
-_OFFSETS = 12  # random numbers drawn per frame, the same for every configuration
+CREASE_LIMIT_PX = 0.75  # of disparity; what a window's mean is further off is a jump, where one side wins
+_OFFSETS = 22  # random numbers drawn per frame, the same for every configuration
+_FRESH = [8, 9, 16, 17]  # those that change even while the camera stands still: noise and single holes
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,21 @@ class DepthErrorConfig:
         occlusion_shadow: lose what the right imager cannot see.
         colour_parallax: lose what the left imager cannot see from 15 mm beside the colour imager.
         flying_share: share of pixels on depth edges that report a mixture of both sides.
+        fattened_share: share of those that report the near side.
         edge_jitter_px: standard deviation of an edge's position, pixels of the depth imager.
         window_px: side of the stereo matcher's window, pixels of the depth imager.
+        crease_window_px: side of the window that rounds creases, pixels of the depth imager; [low, high], drawn by
+            `reset`. (1, 1) keeps them sharp.
+        structured_px: standard deviation of an error that varies over a tenth of the image and stays with the unit,
+            pixels of disparity.
+        still_share: share of the noise's variance that stays from frame to frame before a standing camera.
+        single_holes: share of pixels lost one by one.
+        lost_treads: probability that a band along the rows is lost where a surface bends and has no texture; `reset`
+            draws a factor of 0 to 2 on it.
+        false_patches: share of pixels in patches that report too near a distance; lost bands hold more of them.
+        focal_error_range: `reset` draws by how much the depth image is too large, relative, plus and minus this.
+        misalignment_px: `reset` draws a shift against colour within plus and minus this, pixels of the depth imager.
+        filters: the SDK's post-processing is on: less noise, no single holes, rounder creases.
         speckle: share of pixels lost in small blobs everywhere.
         textureless_dropout: probability of a hole where there is neither texture nor pattern.
         dark_dropout: additional probability on far surfaces much darker than the scene, less on near ones.
@@ -68,7 +81,17 @@ class DepthErrorConfig:
     colour_parallax: bool = True
     flying_share: float = 0.25
     edge_jitter_px: float = 0.7
+    fattened_share: float = 0.2
     window_px: float = 5.0
+    crease_window_px: tuple[float, float] = (9.0, 19.0)
+    structured_px: float = 0.12
+    still_share: float = 0.6
+    single_holes: float = 0.003
+    lost_treads: float = 0.4
+    false_patches: float = 0.002
+    focal_error_range: float = 0.003
+    misalignment_px: float = 1.5
+    filters: bool = False
     speckle: float = 0.004
     textureless_dropout: float = 0.9
     dark_dropout: float = 0.35
@@ -80,17 +103,18 @@ class DepthErrorConfig:
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
             check_range(name, getattr(self, name), low, high)
-        for name in ("occlusion_shadow", "colour_parallax"):
+        for name in ("occlusion_shadow", "colour_parallax", "filters"):
             if not isinstance(getattr(self, name), bool):
                 raise SpecError(f"{name}={getattr(self, name)!r} must be True or False")
         if self.min_range_m >= self.max_range_m:
             raise SpecError(f"min_range_m={self.min_range_m!r} must be below max_range_m={self.max_range_m!r}")
+        object.__setattr__(self, "crease_window_px", check_window("crease_window_px", self.crease_window_px))
 
     @classmethod
     def ideal(cls) -> DepthErrorConfig:
         """Nothing is wrong: depth passes through unchanged."""
-        off = dict.fromkeys(_ERROR_FIELDS, 0.0)
-        return cls(occlusion_shadow=False, colour_parallax=False, max_range_m=1e6, **off)
+        off: dict[str, Any] = dict.fromkeys(_ERROR_FIELDS, 0.0)
+        return cls(occlusion_shadow=False, colour_parallax=False, crease_window_px=(1.0, 1.0), max_range_m=1e6, **off)
 
     @classmethod
     def from_dict(cls, values: Any) -> DepthErrorConfig:
@@ -114,7 +138,14 @@ _ERROR_FIELDS = (
     "scale_bias",
     "scale_bias_range",
     "flying_share",
+    "fattened_share",
     "edge_jitter_px",
+    "structured_px",
+    "single_holes",
+    "lost_treads",
+    "false_patches",
+    "focal_error_range",
+    "misalignment_px",
     "speckle",
     "textureless_dropout",
     "dark_dropout",
@@ -132,6 +163,14 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "flying_share": (0.0, 1.0),
     "edge_jitter_px": (0.0, 5.0),
     "window_px": (1.0, 31.0),
+    "fattened_share": (0.0, 1.0),
+    "structured_px": (0.0, 2.0),
+    "still_share": (0.0, 1.0),
+    "single_holes": (0.0, 0.5),
+    "lost_treads": (0.0, 1.0),
+    "false_patches": (0.0, 0.5),
+    "focal_error_range": (0.0, 0.05),
+    "misalignment_px": (0.0, 10.0),
     "speckle": (0.0, 0.5),
     "textureless_dropout": (0.0, 1.0),
     "dark_dropout": (0.0, 1.0),
@@ -145,8 +184,9 @@ _LIMITS: dict[str, tuple[float, float]] = {
 class DepthErrorModel:
     """Applies a `DepthErrorConfig` to frames.
 
-    The unit's calibration error is the only state: `reset` draws it, and until then it is the configured one. Two
-    calls of `apply` with generators in equal states give equal frames, whatever was processed in between.
+    The unit is a state: `reset` draws it, and until then it is the typical one. For a camera that stands still, so is
+    where in the noise tables the last frame began; otherwise two calls of `apply` with generators in equal states give
+    equal frames, whatever was processed in between.
 
     Args:
         config: what is wrong with the depth.
@@ -154,21 +194,33 @@ class DepthErrorModel:
 
     def __init__(self, config: DepthErrorConfig | None = None) -> None:
         self.config = config if config is not None else DepthErrorConfig()
-        self._scale_bias = self.config.scale_bias
+        self._effective = after_filters(self.config)
+        self._unit = DepthUnit.typical(self._effective)
+        self._offsets: np.ndarray | None = None
         self._spare: list[np.ndarray] = []
+
+    @property
+    def unit(self) -> DepthUnit:
+        """The present specimen of the camera."""
+        return self._unit
 
     @property
     def scale_bias(self) -> float:
         """Relative depth error of the present unit."""
-        return self._scale_bias
+        return self._unit.scale_bias
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Take another unit of the camera: draw its calibration error."""
-        spread = self.config.scale_bias_range
-        self._scale_bias = self.config.scale_bias + float(rng.uniform(-spread, spread))
+        """Take another unit of the camera: draw its calibration errors, its window and its surroundings."""
+        self._unit = DepthUnit.draw(self._effective, rng)
+        self._offsets = None
 
     def apply(
-        self, depth_m: np.ndarray, rgb: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+        self,
+        depth_m: np.ndarray,
+        rgb: np.ndarray,
+        intrinsics: Intrinsics,
+        rng: np.random.Generator,
+        standing: bool = False,
     ) -> np.ndarray:
         """Corrupt one frame.
 
@@ -178,6 +230,7 @@ class DepthErrorModel:
             rgb: uint8 (H, W, 3), what the scene looks like before the colour camera's own noise.
             intrinsics: of both images.
             rng: draws where in the noise tables this frame begins, a fixed amount per frame.
+            standing: nothing has moved since the last frame, so that part of its errors stays.
 
         Returns:
             float32 (H, W), metres, 0 = no reading; a new array.
@@ -185,51 +238,73 @@ class DepthErrorModel:
         Raises:
             ValueError: an argument has a wrong shape or dtype.
         """
-        return self.begin(depth_m, rgb, intrinsics, rng)()
+        return self.begin(depth_m, rgb, intrinsics, rng, standing)()
 
     def begin(
-        self, depth_m: np.ndarray, rgb: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+        self,
+        depth_m: np.ndarray,
+        rgb: np.ndarray,
+        intrinsics: Intrinsics,
+        rng: np.random.Generator,
+        standing: bool = False,
     ) -> Callable[[], np.ndarray]:
         """Draw all that `apply` draws and begin; the function that is returned does the rest, in any thread."""
         _check_frame(depth_m, rgb, intrinsics, rng)
         from stair_env.sensors.camera import depth_kernels as kernels
         from stair_env.sensors.camera.renderers.threads import later
 
-        offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
-        depth_m = np.ascontiguousarray(depth_m)
+        offsets = self._place_in_tables(rng, standing)
+        unit = self._unit
+        depth_m = unit.off_colour(np.ascontiguousarray(depth_m), intrinsics, intrinsics.fx / self.config.focal_px)
         buffers = self._borrow_buffers(depth_m.shape)
         kernels.to_disparity(depth_m, self._focal_baseline(), buffers[0])
-        corners = later(lambda: self._hole_corners(rgb, buffers[0]))
-        return lambda: self._measure(depth_m, intrinsics, offsets, buffers, corners)
+        corners = later(lambda: hole_corners(self._effective, unit, rgb, buffers[0]))
+        return lambda: self._measure(depth_m, intrinsics, unit, offsets, buffers, corners)
+
+    def _place_in_tables(self, rng: np.random.Generator, standing: bool) -> np.ndarray:
+        """(_OFFSETS,) int64 where in the noise tables a frame begins."""
+        offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
+        if standing and self._offsets is not None:
+            offsets = np.where(np.isin(np.arange(_OFFSETS), _FRESH), offsets, self._offsets)
+        self._offsets = offsets
+        return offsets
 
     def _measure(
         self,
         depth_m: np.ndarray,
         intrinsics: Intrinsics,
+        unit: DepthUnit,
         offsets: np.ndarray,
         buffers: np.ndarray,
         corners: Callable[[], np.ndarray],
     ) -> np.ndarray:
-        """Shadows, edges, noise and holes.
+        """Shadows, creases, edges, noise and holes.
 
         Args:
             depth_m: exact, (H, W) float32, metres.
             intrinsics: of the image.
+            unit: of the camera.
             offsets: places in the noise tables where this frame begins.
             buffers: (3, H, W) float32, the first the exact disparity, the others scratch; given back.
-            corners: returns the hole probability at the corners of the cells.
+            corners: returns `hole_corners`.
         """
+        from stair_env.sensors.camera import crease_kernels
         from stair_env.sensors.camera import depth_kernels as kernels
 
-        config, width = self.config, depth_m.shape[1]
+        config, width = self._effective, depth_m.shape[1]
         magnification = intrinsics.fx / config.focal_px  # image pixels per pixel of the depth imager
-        normal, uniform = _noise_tables(config.window_px * magnification, width)
+        normal, broad, uniform, streaks, white = noise_tables(config.window_px, magnification, width)
 
         mark = np.empty(-(-width // 8) * 8, np.uint8)
+        scratch = np.zeros((2, width + kernels.CELL_PX), np.float32)
         disparity, measured, blurred = buffers
         right, left = _imager_shifts(config, magnification)
         kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)
-        if config.flying_share > 0.0 or config.edge_jitter_px > 0.0:
+        half = round((unit.crease_window_px * magnification - 1.0) / 2.0)
+        if half > 0:
+            limit = np.float32(CREASE_LIMIT_PX)
+            crease_kernels.round_creases(disparity, half, limit, scratch[0, :width], scratch[1, :width], measured)
+        if config.flying_share + config.fattened_share > 0.0 or config.edge_jitter_px > 0.0:
             kernels.blur_edges(
                 disparity,
                 measured,
@@ -237,6 +312,7 @@ class DepthErrorModel:
                 np.float32(EDGE_JUMP_PX),
                 np.float32(config.edge_jitter_px * magnification),
                 np.float32(config.flying_share),
+                np.float32(config.fattened_share),
                 normal,
                 uniform,
                 offsets,
@@ -249,17 +325,22 @@ class DepthErrorModel:
             measured,
             depth_m,
             self._focal_baseline(),
-            np.float32(config.disparity_noise_px),
+            noise_px(config, unit),
             np.float32(config.disparity_quantum_px),
-            np.float32(1.0 + self._scale_bias),
+            np.float32(1.0 + unit.scale_bias),
             np.float32(config.depth_unit_m),
-            np.float32(config.min_range_m),
-            np.float32(config.max_range_m),
+            (np.float32(config.min_range_m), np.float32(config.max_range_m)),
+            np.float32(config.single_holes),
+            false_patches(config, unit, int(offsets[20])),
             corners(),
             normal,
+            broad,
             uniform,
+            streaks,
+            white,
             offsets,
-            np.zeros(width + kernels.CELL_PX, np.float32),
+            unit.place,
+            scratch,
             out,
         )
         self._spare.append(buffers)
@@ -280,63 +361,6 @@ class DepthErrorModel:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_spare": []}
 
-    def _hole_corners(self, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        """Hole probability at the corners of the cells, (h + 1, w + 1) float32."""
-        from stair_env.sensors.camera import depth_kernels as kernels
-
-        rows, columns = (-(-side // kernels.CELL_PX) for side in disparity.shape)
-        config = self.config
-        if config.speckle + config.textureless_dropout + config.dark_dropout + config.specular_dropout == 0.0:
-            return np.zeros((rows + 1, columns + 1), np.float32)
-        statistics = [np.empty((rows, columns), np.float32) for _ in range(4)]
-        kernels.cell_statistics(np.ascontiguousarray(rgb), disparity, *statistics)
-        level, texture, glare, mean_disparity = statistics
-        cells = hole_probability(config, level, texture, glare, mean_disparity / self._focal_baseline())
-        return _corner_means(cells)
-
-
-def hole_probability(
-    config: DepthErrorConfig, level: np.ndarray, texture: np.ndarray, glare: np.ndarray, inverse_depth: np.ndarray
-) -> np.ndarray:
-    """How likely matching fails.
-
-    Texture of the surface and the projected pattern each suffice on their own; the pattern fades with the square of
-    the distance and on dark surfaces, which is why near ones keep their depth by night. The form and its constants are
-    choices of this project, made by eye: nobody has published them.
-
-    Args:
-        config: the probabilities and the projector's range.
-        level: brightness, 0-255, any shape.
-        texture: horizontal contrast, 0-255.
-        glare: share of saturated pixels.
-        inverse_depth: 1 / metres, 0 for nothing there.
-
-    Returns:
-        Probabilities of the same shape, float32, at most MAX_DROP_PROBABILITY.
-    """
-    reflectance = _reflectance(level)
-    reach = np.minimum(config.projector_range_m * inverse_depth, 1e3)  # the bound keeps its square finite
-    pattern = np.minimum(reflectance * reach**2, 1.0)
-    own = np.minimum(texture / FULL_TEXTURE_LEVEL, 1.0)
-    unmatched = (1.0 - own) * (1.0 - pattern)
-    probability = (
-        config.speckle
-        + config.textureless_dropout * unmatched**2
-        + config.dark_dropout * (1.0 - reflectance) / np.maximum(reach, 1.0)
-        + config.specular_dropout * glare
-    )
-    return np.minimum(probability, MAX_DROP_PROBABILITY).astype(np.float32)
-
-
-def _reflectance(level: np.ndarray) -> np.ndarray:
-    """Share of the pattern that a surface returns, guessed from its brightness (0-255) among the frame's, 0..1.
-
-    The darker the frame, the more a dark surface is one without light rather than one without reflectance.
-    """
-    frame_level = max(float(level.mean()), 1e-6)
-    trust = min(max((frame_level - DARK_FRAME_LEVEL) / (LIT_FRAME_LEVEL - DARK_FRAME_LEVEL), 0.0), 1.0)
-    return 1.0 - trust * (1.0 - np.minimum(level / (DARK_SURFACE_SHARE * frame_level), 1.0))
-
 
 def depth_rms_m(depth_m: np.ndarray | float, config: DepthErrorConfig) -> np.ndarray:
     """Published RMS error Z^2 s / (f B) at a depth, metres (Intel's tuning guide)."""
@@ -353,22 +377,6 @@ def _imager_shifts(config: DepthErrorConfig, magnification: float) -> tuple[floa
     offset_m = D435I_COLOUR_OFFSET_M if config.colour_parallax else 0.0
     right = (config.baseline_m + offset_m) / config.baseline_m if config.occlusion_shadow else 0.0
     return right * magnification, offset_m / config.baseline_m * magnification
-
-
-def _noise_tables(window_px: float, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Noise of the disparity, and blobs for holes, as fine as the matching window (image pixels) makes them."""
-    window = round(window_px * 4.0) / 4.0
-    # Averaging over a window leaves noise as wide as the window (a Gaussian of a third of its side), and the residual
-    # error of subpixel interpolation adds the broad dents that planes show in point clouds.
-    normal = gaussian_tile((window / 3.0, 1.5 * window), (0.7, 0.3), width, 0)
-    uniform = uniform_tile((window / 3.0, window), (0.5, 0.5), width + 8, 1)
-    return normal, uniform
-
-
-def _corner_means(cells: np.ndarray) -> np.ndarray:
-    """(h + 1, w + 1) means of the cells around each corner."""
-    padded = np.pad(cells, 1, mode="edge")
-    return (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:]) * np.float32(0.25)
 
 
 def _check_frame(depth_m: np.ndarray, rgb: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator) -> None:

@@ -125,6 +125,7 @@ def blur_edges(
     jump: np.float32,
     jitter_px: np.float32,
     flying_share: np.float32,
+    fattened_share: np.float32,
     normal: np.ndarray,
     uniform: np.ndarray,
     offsets: np.ndarray,
@@ -143,13 +144,15 @@ def blur_edges(
         jump: smallest second difference that counts as an edge, depth-imager pixels.
         jitter_px: standard deviation of the edge's position, image pixels.
         flying_share: share of edge pixels that become a mixture; shadows do not.
+        fattened_share: share of edge pixels that take the near side: what stands before a plain wall grows by half a
+            window, because its outline is all the texture there is.
         normal, uniform: (N, N + W) noise tables.
         offsets: (k,) int64 places in the tables where this frame begins.
         mark: (at least W,) uint8, a multiple of 8 long, scratch.
         out: (H, W) float32, written.
     """
     height, width = disparity.shape
-    side = normal.shape[0]
+    side, one = normal.shape[0], np.float32(1.0)
     mark[:] = 0
     marks_of_8 = mark.view(np.uint64)  # most of them are all zero, and cheaper to skip together
     for v in range(height):
@@ -172,6 +175,8 @@ def blur_edges(
                 if chance[u] < flying_share and row[u] != _HIDDEN:
                     near, far = _extremes(disparity, v, u, reach)
                     out_row[u] = far + mixture[u] * (near - far)
+                elif chance[u] > one - fattened_share and row[u] != _HIDDEN:
+                    out_row[u] = _extremes(disparity, v, u, reach)[0]
                 elif jitter_px > 0.0:
                     source_u = min(max(u + int(np.rint(jitter_px * shift_u[u])), 0), width - 1)
                     source_v = min(max(v + int(np.rint(jitter_px * shift_v[u])), 0), height - 1)
@@ -251,47 +256,71 @@ def finish(
     measured: np.ndarray,
     depth_m: np.ndarray,
     focal_baseline: np.float32,
-    noise_px: np.float32,
+    noise_px: tuple[np.float32, np.float32, np.float32],
     quantum_px: np.float32,
     scale: np.float32,
     unit_m: np.float32,
-    nearest_m: np.float32,
-    farthest_m: np.float32,
-    drop: np.ndarray,
+    range_m: tuple[np.float32, np.float32],
+    single: np.float32,
+    false_patches: tuple[np.float32, np.float32, np.float32],
+    corners: np.ndarray,
     normal: np.ndarray,
+    broad: np.ndarray,
     uniform: np.ndarray,
+    streaks: np.ndarray,
+    white: np.ndarray,
     offsets: np.ndarray,
-    chance: np.ndarray,
+    unit_place: tuple[int, int],
+    chances: np.ndarray,
     out: np.ndarray,
 ) -> None:
     """Noise, quantisation, scale, range and holes: from disparity to the depth that is handed out.
 
     Args:
-        measured: (H, W) float32, disparity after shadows and edges.
+        measured: (H, W) float32, disparity after shadows and edges; false patches are written into it.
         depth_m: (H, W) float32, exact depth; kept as it is where nothing changed the disparity.
         focal_baseline: pixels times metres.
-        noise_px: standard deviation of the disparity, depth-imager pixels.
+        noise_px: standard deviations of the disparity, depth-imager pixels: new in every frame, the same while the
+            camera stands still, and the unit's own.
         quantum_px: step of the disparity, depth-imager pixels; 0 for none.
         scale: factor on depth.
         unit_m: step of the depth, metres; 0 for none.
-        nearest_m, farthest_m: readings outside are dropped.
-        drop: (h + 1, w + 1) float32 probability of a hole at the corners of the cells; one column for no holes.
-        normal, uniform: (N, N + W) noise tables.
+        range_m: nearest and farthest reading that is kept.
+        single: share of pixels that are lost one by one.
+        false_patches: share of pixels in patches at a false distance, how much more of a lost band, factor on their
+            disparity.
+        corners: (2, h + 1, w + 1) float32 probability of a hole and of a lost band at the corners of the cells.
+        normal, broad: (N, N + W) normal noise, as fine as a window, and far broader.
+        uniform, streaks, white: (N, N + W + CELL_PX) uniform noise: blobs, long along the rows, uncorrelated.
         offsets: (k,) int64 places in the tables where this frame begins.
-        chance: (at least W + CELL_PX) float32, scratch.
+        unit_place: place in `broad` that belongs to the unit.
+        chances: (2, at least W + CELL_PX) float32, scratch.
         out: (H, W) float32, written.
     """
     side = normal.shape[0]
-    exact = (noise_px == 0.0) & (quantum_px == 0.0)
+    fresh_px, held_px, unit_px = noise_px
+    zero = np.float32(0.0)
+    patched = (false_patches[0] > zero) | (false_patches[1] > zero)
+    exact = (fresh_px == zero) & (held_px == zero) & (unit_px == zero) & (quantum_px == zero) & (not patched)
+    chance, band_chance = chances[0], chances[1]
     for v in range(len(measured)):
         hole = uniform[(v + offsets[10]) % side, offsets[11] :]
-        _interpolate_row(drop, v, chance)
+        band = streaks[(v + offsets[14]) % side, offsets[15] :]
+        grain = white[(v + offsets[16]) % side, offsets[17] :]
+        _interpolate_row(corners[0], v, chance)
+        _interpolate_row(corners[1], v, band_chance)
+        row = measured[v]
         if exact:
-            _exact_row(measured[v], depth_m[v], focal_baseline, out[v])
+            _exact_row(row, depth_m[v], focal_baseline, out[v])
         else:
+            if patched:
+                patch = streaks[(v + offsets[18]) % side, offsets[19] :]
+                _patch_row(row, patch, band_chance, false_patches)
             noise = normal[(v + offsets[8]) % side, offsets[9] :]
-            _noisy_row(measured[v], noise, focal_baseline, noise_px, quantum_px, out[v])
-        _limit_row(scale, unit_m, nearest_m, farthest_m, hole, chance, out[v])
+            held = normal[(v + offsets[12]) % side, offsets[13] :]
+            own = broad[(v + unit_place[0]) % side, unit_place[1] :]
+            _noisy_row(row, noise, held, own, noise_px, focal_baseline, quantum_px, out[v])
+        _limit_row(scale, unit_m, range_m, hole, chance, band, band_chance, grain, single, out[v])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -306,19 +335,38 @@ def _exact_row(measured: np.ndarray, depth_m: np.ndarray, focal_baseline: np.flo
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _patch_row(
+    measured: np.ndarray,
+    patch: np.ndarray,
+    band_chance: np.ndarray,
+    false_patches: tuple[np.float32, np.float32, np.float32],
+) -> None:
+    """Move disparities (W,) within patches to a false distance, in place; these are not lost with a band."""
+    share, share_in_bands, factor = false_patches
+    zero = np.float32(0.0)
+    for u in range(len(measured)):
+        false = patch[u] < share + share_in_bands * band_chance[u]
+        measured[u] = measured[u] * factor if false else measured[u]
+        band_chance[u] = zero if false else band_chance[u]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _noisy_row(
     measured: np.ndarray,
     noise: np.ndarray,
+    held: np.ndarray,
+    own: np.ndarray,
+    noise_px: tuple[np.float32, np.float32, np.float32],
     focal_baseline: np.float32,
-    noise_px: np.float32,
     quantum_px: np.float32,
     out: np.ndarray,
 ) -> None:
     """Depth of disparities (W,) after noise and rounding."""
     zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
     per_quantum = one / quantum_px if quantum_px > zero else zero
+    fresh_px, held_px, unit_px = noise_px
     for u in range(len(out)):
-        d = measured[u] + noise_px * noise[u]
+        d = measured[u] + (fresh_px * noise[u] + held_px * held[u] + unit_px * own[u])
         rounded = np.floor(d * per_quantum + half) * quantum_px
         d = rounded if quantum_px > zero else d
         seen = (measured[u] > zero) & (d > zero)
@@ -330,20 +378,25 @@ def _noisy_row(
 def _limit_row(
     scale: np.float32,
     unit_m: np.float32,
-    nearest_m: np.float32,
-    farthest_m: np.float32,
+    range_m: tuple[np.float32, np.float32],
     hole: np.ndarray,
     chance: np.ndarray,
+    band: np.ndarray,
+    band_chance: np.ndarray,
+    grain: np.ndarray,
+    single: np.float32,
     depth_m: np.ndarray,
 ) -> None:
     """Scale and round depths (W,) in place; drop what is out of range or falls into a hole."""
     zero, half = np.float32(0.0), np.float32(0.5)
     per_unit = np.float32(1.0) / unit_m if unit_m > zero else zero
+    nearest_m, farthest_m = range_m
     for u in range(len(depth_m)):
         z = depth_m[u] * scale
         rounded = np.floor(z * per_unit + half) * unit_m
         z = rounded if unit_m > zero else z
-        keep = (z >= nearest_m) & (z <= farthest_m) & (hole[u] >= chance[u])
+        matched = (hole[u] >= chance[u]) & (band[u] >= band_chance[u]) & (grain[u] >= single)
+        keep = (z >= nearest_m) & (z <= farthest_m) & matched
         depth_m[u] = z if keep else zero
 
 

@@ -25,6 +25,7 @@ PRESETS: tuple[str, ...] = ("d435i", "ideal")
 MovingShapes = Sequence[Shape] | Callable[[], Sequence[Shape]]
 
 _TIME_TOLERANCE_S = 1e-6  # sums of control steps miss the frame grid by rounding
+_STANDING_PX = 0.5  # image motion between frames below which matching windows still hold the same
 
 
 @dataclass(frozen=True)
@@ -233,6 +234,7 @@ class RgbdCamera:
         self._waiting: deque[tuple[float, RgbdReading]] = deque()
         self._delivered: RgbdReading | None = None
         self._last: tuple[float, np.ndarray] | None = None
+        self._pose_of_frame: np.ndarray | None = None
         self._first_due_s = 0.0
         self._periods = 0
         self._captured = 0
@@ -306,9 +308,22 @@ class RgbdCamera:
         """Draw what the depth needs of chance; the function that is returned makes the image."""
         stereo = self._stereo
         if stereo is None:
-            return self._depth_error.begin(depth_m, rgb, self.intrinsics, self._rng)
+            standing = self._is_standing(pose, depth_m)
+            return self._depth_error.begin(depth_m, rgb, self.intrinsics, self._rng, standing)
         left, right = stereo.infrared_pair(self._renderer, pose, self._rng, moving)
         return lambda: stereo.depth_of_pair(left, right, self.intrinsics)
+
+    def _is_standing(self, pose: np.ndarray, depth_m: np.ndarray) -> bool:
+        """Whether the image has moved less than `_STANDING_PX` since the last frame that counted as another view."""
+        before = self._pose_of_frame
+        if before is not None:
+            near_m = _middle_distance_m(depth_m, self.config.far_m)
+            turn_rad = Rotation.from_matrix(before[:3, :3].T @ pose[:3, :3]).magnitude()
+            shift = float(np.linalg.norm(pose[:3, 3] - before[:3, 3])) / near_m
+            if self.intrinsics.fx * (turn_rad + shift) < _STANDING_PX:
+                return True
+        self._pose_of_frame = pose
+        return False
 
     def _in_range(self, depth_m: np.ndarray) -> np.ndarray:
         """Depth (H, W) float32 as far as the ideal camera sees it, a new array."""
@@ -323,8 +338,7 @@ class RgbdCamera:
         if self._last is None or time_s <= self._last[0] or not self.config.colour_error.motion_blur:
             return None
         exposure_s = self._colour_error.exposure_s(rgb)
-        sample = depth_m[::16, ::16]
-        distance_m = float(np.median(sample[sample > 0.0])) if (sample > 0.0).any() else self.config.far_m
+        distance_m = _middle_distance_m(depth_m, self.config.far_m)
         moved = image_motion_px(self.intrinsics, self._last[1], pose, distance_m)
         return moved * (exposure_s / (time_s - self._last[0]))
 
@@ -338,6 +352,12 @@ class RgbdCamera:
         while self._waiting and self._waiting[0][0] <= time_s + _TIME_TOLERANCE_S:
             self._delivered = self._waiting.popleft()[1]
         return self._delivered
+
+
+def _middle_distance_m(depth_m: np.ndarray, far_m: float) -> float:
+    """Median of a depth image (H, W), far_m if nothing is seen."""
+    sample = depth_m[::16, ::16]
+    return float(np.median(sample[sample > 0.0])) if (sample > 0.0).any() else far_m
 
 
 def draw_mount_error(config: CameraConfig, rng: np.random.Generator) -> np.ndarray:

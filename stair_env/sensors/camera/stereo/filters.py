@@ -9,6 +9,10 @@ import numpy as np
 
 from stair_env.sensors.camera.stereo.config import HOLE_FILLINGS, StereoConfig
 
+NEVER = (9, 8)
+# For each of the SDK's persistency indices: so many readings among so many of the last frames.
+PERSISTENCY = (NEVER, (8, 8), (2, 3), (2, 4), (2, 8), (1, 2), (1, 5), (1, 8), (0, 8))
+
 
 def decimate(disparity: np.ndarray, factor: int) -> np.ndarray:
     """Merge squares of readings into the median of those that exist (mean from 4 x 4 on), as the SDK does.
@@ -40,22 +44,29 @@ class TemporalFilter:
     Args:
         alpha: weight of the new frame.
         delta_px: step of disparity that counts as another surface.
+        persistency: 0 to 8, when a missing reading is replaced by the last one, see `StereoConfig`.
     """
 
-    def __init__(self, alpha: float, delta_px: float) -> None:
+    def __init__(self, alpha: float, delta_px: float, persistency: int = 0) -> None:
         self._alpha, self._delta = np.float32(alpha), np.float32(delta_px)
+        seen = np.array([[index >> age & 1 for age in range(8)] for index in range(256)])  # bit 0: the newest frame
+        needed, frames = PERSISTENCY[persistency]
+        self._fills = seen[:, :frames].sum(1) >= needed
         self._last: np.ndarray | None = None
+        self._history: np.ndarray | None = None
 
     def apply(self, disparity: np.ndarray) -> np.ndarray:
-        """float32 (H, W) -> the same, averaged with what was seen before; a missing reading stays missing."""
-        last = self._last
-        if last is None or last.shape != disparity.shape:
-            self._last = disparity.copy()
+        """float32 (H, W) -> the same, averaged with what was seen before."""
+        last, history = self._last, self._history
+        if last is None or history is None or last.shape != disparity.shape:
+            self._last, self._history = disparity.copy(), (disparity > 0.0).astype(np.uint8)
             return disparity
-        same = (disparity > 0.0) & (last > 0.0) & (np.abs(disparity - last) < self._delta)
+        seen = disparity > 0.0
+        same = seen & (last > 0.0) & (np.abs(disparity - last) < self._delta)
         mixed = np.where(same, self._alpha * disparity + (1 - self._alpha) * last, disparity).astype(np.float32)
-        self._last = np.where(mixed > 0.0, mixed, last)
-        return mixed
+        self._history = (history << 1) | seen
+        self._last = np.where(seen, mixed, last)
+        return np.where(seen, mixed, np.where(self._fills[history], last, np.float32(0.0)))
 
 
 def post_process(disparity: np.ndarray, config: StereoConfig, temporal: TemporalFilter | None = None) -> np.ndarray:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from stair_env.intrinsics import Intrinsics
+from stair_env.sensors.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile
 from stair_env.sensors.camera.renderers.base import Frame
 from stair_env.sensors.camera.stereo.config import StereoConfig
 
@@ -40,6 +41,14 @@ def dot_pattern(dots: int, dot_width_px: float, seed: int) -> np.ndarray:
     sigma = max(dot_width_px * TABLE_PX / REFERENCE_FOCAL_PX, 0.4)
     spread = cv2.GaussianBlur(pattern.reshape(rows, columns), (0, 0), sigma)
     return spread * np.float32(2.0 * np.pi * sigma**2)
+
+
+def white_noise(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """(height, width) float32 normal noise, read from a fixed table at a place that rng chooses."""
+    row, column = rng.integers(0, TILE_SIDE_PX, 2)
+    table = gaussian_tile((0.0,), (1.0,), TILE_SIDE_PX + width, 5)
+    rows = (np.arange(height) + row) % TILE_SIDE_PX
+    return table[rows, column : column + width]
 
 
 def low_frequency_field(rng: np.random.Generator, height: int, width: int, deviation: float) -> np.ndarray:
@@ -104,10 +113,10 @@ class Imager:
         exposure = min(TARGET_LEVEL / max(float(light.mean()), 1e-6), config.exposure_limit)
         light *= np.float32(exposure)
         gain = min(max(TARGET_LEVEL / max(float(light.mean()), 1e-6), 1.0), config.gain_limit)
-        noise = rng.standard_normal(light.shape, dtype=np.float32)
-        noise *= np.sqrt(np.float32(config.read_noise**2) + np.float32(config.shot_noise**2) * light)
-        light += noise
-        return np.clip(light * np.float32(gain * 255.0) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+        noise = white_noise(rng, *light.shape)
+        variance = np.float32(config.read_noise**2) + np.float32(config.shot_noise**2) * light
+        light += noise * np.sqrt(variance, out=variance)
+        return cv2.convertScaleAbs(np.maximum(light, np.float32(0.0)), alpha=gain * 255.0)
 
     def _light(
         self, frame: Frame, pattern: np.ndarray, config: StereoConfig, ambient_gain: float, rng: np.random.Generator
@@ -115,14 +124,13 @@ class Imager:
         """Infrared light that reaches each pixel, (H, W) float32; 1 is a white sheet in a dot's middle at 1 m."""
         from stair_env.sensors.camera.stereo import kernels
 
-        level = cv2.transform(_LINEAR[frame.rgb], np.array([BAND], np.float32))
+        level = cv2.transform(cv2.LUT(frame.rgb, _LINEAR), np.array([BAND], np.float32))
         mean = max(float(level.mean()), 1e-6)
+        if config.infrared_contrast != 1.0:
+            level = np.float32(mean) * cv2.pow(level * np.float32(1.0 / mean), config.infrared_contrast)
         light = level * np.float32(ambient_gain)
         if config.projector_power == 0.0:
             return light
-        trust = min(mean / DARK_SCENE_LEVEL, 1.0)
-        bright = np.minimum(level * np.float32(0.5 / mean), np.float32(1.0))
-        reflectance = LOWEST_REFLECTANCE + (1.0 - LOWEST_REFLECTANCE) * (trust * bright + (1.0 - trust) * 0.5)
         k, shape = self.intrinsics, level.shape
         map_u, map_v, irradiance = (np.empty(shape, np.float32) for _ in range(3))
         rows, columns = TABLE_SIDES_PX
@@ -130,8 +138,20 @@ class Imager:
             np.ascontiguousarray(frame.depth_m), k.fx, k.cx, k.cy, self.projector_x_m,
             TABLE_PX, columns / 2.0, rows / 2.0, map_u, map_v, irradiance,
         )  # fmt: skip
-        dots = cv2.remap(pattern, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-        if config.speckle > 0.0:
-            grain = rng.standard_normal(shape, dtype=np.float32)
-            dots *= np.maximum(np.float32(1.0) + np.float32(config.speckle) * grain, np.float32(0.0))
-        return light + np.float32(config.projector_power) * reflectance.astype(np.float32) * dots * irradiance
+        dots: np.ndarray = cv2.remap(
+            pattern, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0
+        )
+        grain = white_noise(rng, *shape)
+        grain *= np.float32(config.speckle)
+        grain += np.float32(1.0)
+        # A bright surface of a lit scene reflects much; in the dark, colour tells nothing and the middle is taken.
+        trust = min(mean / DARK_SCENE_LEVEL, 1.0)
+        reflectance: np.ndarray = np.minimum(level * np.float32(0.5 / mean), np.float32(1.0))
+        reflectance *= np.float32(trust * (1.0 - LOWEST_REFLECTANCE))
+        reflectance += np.float32(LOWEST_REFLECTANCE + (1.0 - LOWEST_REFLECTANCE) * (1.0 - trust) * 0.5)
+        dots *= np.maximum(grain, np.float32(0.0), out=grain)
+        dots *= irradiance
+        dots *= reflectance
+        dots *= np.float32(config.projector_power)
+        light += dots
+        return light

@@ -65,6 +65,32 @@ def _smaller_step(w: float, before_m: float, after_m: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def to_depth(
+    disparity: np.ndarray,
+    focal_baseline: float,
+    unit_m: float,
+    nearest_m: float,
+    farthest_m: float,
+    depth_m: np.ndarray,
+) -> None:
+    """Depth in whole units from disparity, 0 where there is none or it is out of range.
+
+    Args:
+        disparity: (h, w) float32, pixels, 0 = no match.
+        focal_baseline: focal length times baseline, pixels times metres.
+        unit_m: step of the depth, metres.
+        nearest_m, farthest_m: readings outside are dropped.
+        depth_m: (h, w) float32, written.
+    """
+    height, width = disparity.shape
+    for v in range(height):
+        for u in range(width):
+            d = disparity[v, u]
+            z = focal_baseline / d if d > 0.0 else 0.0
+            depth_m[v, u] = np.floor(z / unit_m + 0.5) * unit_m if nearest_m <= z <= farthest_m else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def align(depth_m: np.ndarray, source: np.ndarray, shift_x_m: float, target: np.ndarray, out: np.ndarray) -> None:
     """Draw each reading into another camera's image as the rectangle that its pixel covers there; the nearest wins.
 

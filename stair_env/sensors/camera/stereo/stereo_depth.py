@@ -19,9 +19,11 @@ from stair_env.sensors.camera.stereo.config import StereoConfig
 if TYPE_CHECKING:
     from stair_env.scene.shapes import Shape
     from stair_env.sensors.camera.renderers.base import Renderer
+    from stair_env.sensors.camera.stereo.infrared import Imager
 
 DEPTH_UNIT_M = 0.001
 PATTERNS = 64  # different projectors
+MARGIN_PX = 24  # matched around what the colour image shows: half a window and what a smooth path needs to settle
 
 
 class StereoDepth:
@@ -41,13 +43,15 @@ class StereoDepth:
     def reset(self, rng: np.random.Generator) -> None:
         """Take another unit into another light: draw its imagers, its projector and the ambient infrared light."""
         from stair_env.sensors.camera.stereo.filters import TemporalFilter
-        from stair_env.sensors.camera.stereo.infrared import Imager
 
         low, high = self.config.ambient_gain
         self._ambient_gain = math.exp(rng.uniform(math.log(low), math.log(high)))
         self._pattern_seed = int(rng.integers(PATTERNS))
-        self._imagers = tuple(Imager.draw(self.config, is_right, rng) for is_right in (False, True))
-        self._temporal = TemporalFilter(self.config.temporal_alpha, self.config.spatial_delta_px)
+        self._imager_seed = int(rng.integers(2**63))
+        self._imagers: tuple[Imager, ...] = ()
+        self._temporal = TemporalFilter(
+            self.config.temporal_alpha, self.config.spatial_delta_px, self.config.persistency
+        )
 
     def infrared_pair(
         self,
@@ -67,9 +71,12 @@ class StereoDepth:
         Returns:
             Left and right image, uint8 (H, W).
         """
-        from stair_env.sensors.camera.stereo.infrared import dot_pattern
+        from stair_env.sensors.camera.stereo.infrared import Imager, dot_pattern
 
         config = self.config
+        if not self._imagers:  # drawn when needed: a camera may be reset many times before it takes a picture
+            unit = np.random.default_rng(self._imager_seed)
+            self._imagers = tuple(Imager.draw(config, is_right, unit) for is_right in (False, True))
         pattern = dot_pattern(config.dots, config.dot_width_px, self._pattern_seed)
         images = []
         for imager, x_m in zip(self._imagers, (D435I_COLOUR_OFFSET_M, D435I_COLOUR_OFFSET_M + config.baseline_m)):
@@ -94,15 +101,29 @@ class StereoDepth:
         from stair_env.sensors.camera.stereo.matching import match
 
         config, k = self.config, self.config.intrinsics
-        disparity = post_process(match(left, right, config, self._matcher), config, self._temporal)
-        depth = np.where(disparity > 0.0, k.fx * config.baseline_m / np.maximum(disparity, np.float32(1e-3)), 0.0)
-        depth = np.round(depth / DEPTH_UNIT_M) * DEPTH_UNIT_M
-        depth[(depth < config.min_range_m) | (depth > config.max_range_m)] = 0.0
-        source = np.array([k.fx, k.fy, k.cx, k.cy]) / config.decimation
+        rows, columns = self._needed(intrinsics)
+        matched = match(left[rows], right[rows], config, self._matcher, columns)
+        disparity = post_process(matched, config, self._temporal)
+        depth = np.empty_like(disparity)
+        kernels.to_depth(
+            disparity, k.fx * config.baseline_m, DEPTH_UNIT_M, config.min_range_m, config.max_range_m, depth
+        )
+        source = np.array([k.fx, k.fy, k.cx - columns.start, k.cy - rows.start]) / config.decimation
         target = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
         aligned = np.empty((intrinsics.height, intrinsics.width), np.float32)
-        kernels.align(depth.astype(np.float32), source, D435I_COLOUR_OFFSET_M, target, aligned)
+        kernels.align(depth, source, D435I_COLOUR_OFFSET_M, target, aligned)
         return aligned
+
+    def _needed(self, intrinsics: Intrinsics) -> tuple[slice, slice]:
+        """Rows and columns of the left image that the colour image can show, with room for windows and filters."""
+        k, config = self.config.intrinsics, self.config
+        parallax = k.fx * D435I_COLOUR_OFFSET_M / config.min_range_m if config.min_range_m > 0.0 else k.width
+        left, right = (k.fx * (u - intrinsics.cx) / intrinsics.fx + k.cx for u in (0.0, float(intrinsics.width)))
+        top, bottom = (k.fy * (v - intrinsics.cy) / intrinsics.fy + k.cy for v in (0.0, float(intrinsics.height)))
+        return (
+            slice(max(int(top) - MARGIN_PX, 0), min(int(bottom) + MARGIN_PX, k.height)),
+            slice(max(int(left - parallax) - MARGIN_PX, 0), min(int(right) + MARGIN_PX, k.width)),
+        )
 
     def measure(
         self,
