@@ -87,7 +87,7 @@ class DepthErrorConfig:
     fattened_share: float = 0.2
     window_px: float = 5.0
     crease_window_px: tuple[float, float] = (9.0, 19.0)
-    structured_px: float = 0.12
+    structured_px: float = 0.08
     still_share: float = 0.6
     single_holes: float = 0.003
     lost_treads: float = 0.4
@@ -299,14 +299,14 @@ class DepthErrorModel:
         normal, broad, uniform, streaks, white = noise_tables(config.window_px, magnification, width)
 
         mark = np.empty(-(-width // 8) * 8, np.uint8)
-        scratch = np.zeros((2, width + kernels.CELL_PX), np.float32)
+        scratch = np.zeros((3, width + kernels.CELL_PX), np.float32)
         disparity, measured, blurred = buffers
         right, left = _imager_shifts(config, magnification)
         kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)
         half = round((unit.crease_window_px * magnification - 1.0) / 2.0)
         if half > 0:
             limit = np.float32(CREASE_LIMIT_PX)
-            crease_kernels.round_creases(disparity, half, limit, scratch[0, :width], scratch[1, :width], measured)
+            crease_kernels.round_creases(disparity, half, limit, scratch, measured)
         if config.flying_share + config.fattened_share > 0.0 or config.edge_jitter_px > 0.0:
             kernels.blur_edges(
                 disparity,

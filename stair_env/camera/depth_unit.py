@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stair_env.camera.intrinsics import Intrinsics
 
 NOISE_FACTORS = (0.9, 2.4)  # surfaces of a staircase against the target of the data sheet; fitted to matched depth
-REACH_FACTORS = (0.25, 1.2)  # daylight through a window against lamps; likewise
+REACH_FACTORS = (0.2, 1.2)  # daylight through a window against lamps; likewise
 
 
 @dataclass(frozen=True)
