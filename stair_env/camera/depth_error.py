@@ -86,7 +86,7 @@ class DepthErrorConfig:
     edge_jitter_px: float = 0.7
     fattened_share: float = 0.2
     window_px: float = 5.0
-    crease_window_px: tuple[float, float] = (9.0, 19.0)
+    crease_window_px: tuple[float, float] = (9.0, 21.0)
     structured_px: float = 0.08
     still_share: float = 0.6
     single_holes: float = 0.003

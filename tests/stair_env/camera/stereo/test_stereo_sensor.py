@@ -74,7 +74,7 @@ def test_depth_of_a_textured_wall_is_off_by_a_fraction_of_a_pixel(mode, wall_m):
     out = measure(WallRenderer(wall_m), mode=mode, **FLAWLESS)
     error_px = k.fx * 0.05 * (1.0 / out[out > 0.0] - 1.0 / wall_m)
     assert lost(out) < 0.1
-    assert np.sqrt(np.mean(np.clip(error_px, -1, 1) ** 2)) < 0.2 and abs(np.median(error_px)) < 0.1
+    assert np.sqrt(np.mean(np.clip(error_px, -1, 1) ** 2)) < 0.35 and abs(np.median(error_px)) < 0.2
 
 
 def test_depth_error_grows_with_the_square_of_the_distance():
