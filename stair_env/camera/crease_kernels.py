@@ -26,12 +26,12 @@ def round_creases(
         disparity: (H, W) float32 of the scene.
         half: the window reaches that many image pixels to each side; near the border it shrinks to stay centred.
         limit: largest change, depth-imager pixels.
-        scratch: (3, at least W) float32.
+        scratch: (4, at least W) float32.
         measured: (H, W) float32, the same with 0 in shadows; changed in place.
     """
     height, width = disparity.shape
     zero, one = np.float32(0.0), np.float32(1.0)
-    columns, box, sums = scratch[0, :width], scratch[1, :width], scratch[2, :width]
+    columns, box, sums, other = scratch[0, :width], scratch[1, :width], scratch[2, :width], scratch[3, :width]
     span = max(width - 2 * half, 0)
     columns[:] = zero
     first, last = 0, -1  # rows that the column sums hold
@@ -51,7 +51,7 @@ def round_creases(
         per_box = per_column / np.float32(2 * half + 1)
         for u in range(width):
             box[u] = columns[u] * per_column
-        _add_neighbours(columns, 2 * half + 1, sums, box[half : half + span])
+        _add_neighbours(columns, 2 * half + 1, sums, other, box[half : half + span])
         for u in range(half, half + span):
             box[u] *= per_box
         row = measured[v]
@@ -62,7 +62,7 @@ def round_creases(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, out: np.ndarray) -> None:
+def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
     """Fill out (n,) with the sums of `count` neighbours, out[u] = values[u] + ... + values[u + count - 1].
 
     Sums of 1, 2, 4, 8 neighbours are each made of the ones before, and those that make up `count` are added: half the
@@ -71,7 +71,7 @@ def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, out: np.nd
     Args:
         values: (n + count - 1,) float32.
         count: positive.
-        sums: as long as values, scratch.
+        sums, other: as long as values, scratch; two, because the compiler does not vectorise what overlaps.
         out: (n,) float32, written.
     """
     for u in range(len(values)):
@@ -87,7 +87,8 @@ def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, out: np.nd
             done += size
         ahead = sums[size:]
         for u in range(len(ahead)):
-            sums[u] += ahead[u]
+            other[u] = sums[u] + ahead[u]
+        sums, other = other, sums
         size *= 2
 
 

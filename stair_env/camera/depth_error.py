@@ -299,7 +299,7 @@ class DepthErrorModel:
         normal, broad, uniform, streaks, white = noise_tables(config.window_px, magnification, width)
 
         mark = np.empty(-(-width // 8) * 8, np.uint8)
-        scratch = np.zeros((3, width + kernels.CELL_PX), np.float32)
+        scratch = np.zeros((4, width + kernels.CELL_PX), np.float32)
         disparity, measured, blurred = buffers
         right, left = _imager_shifts(config, magnification)
         kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)

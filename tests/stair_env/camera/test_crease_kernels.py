@@ -8,7 +8,7 @@ H, W = 60, 90
 
 def rounded(disparity, half, limit=0.75, measured=None):
     out = (disparity if measured is None else measured).copy()
-    round_creases(disparity, half, np.float32(limit), np.zeros((3, W + 8), np.float32), out)
+    round_creases(disparity, half, np.float32(limit), np.zeros((4, W + 8), np.float32), out)
     return out
 
 
