@@ -83,6 +83,7 @@ MOVED: dict[str, str] = {
     "stair_env.attitude": "stair_env.onboard.attitude",
     "stair_env.body_kernels": "stair_env.physics.body_kernels",
     "stair_env.camera": "stair_env.sensors.camera",
+    "stair_env.camera.depth_kernels": "stair_env.sensors.camera.depth_model.depth_kernels",
     "stair_env.camera.follower": "stair_env.sensors.camera.third_person",
     "stair_env.camera.intrinsics": "stair_env.intrinsics",
     "stair_env.camera.renderers.looks": "stair_env.sensors.camera.renderers.shading_tables",

@@ -327,7 +327,7 @@ class RgbdCamera:
 
     def _in_range(self, depth_m: np.ndarray) -> np.ndarray:
         """Depth (H, W) float32 as far as the ideal camera sees it, a new array."""
-        from stair_env.sensors.camera.depth_kernels import within
+        from stair_env.sensors.camera.depth_model.depth_kernels import within
 
         seen = np.empty(depth_m.shape, np.float32)
         within(np.ascontiguousarray(depth_m), np.float32(self.config.near_m), np.float32(self.config.far_m), seen)

@@ -7,7 +7,7 @@ import pytest
 
 from stair_env.intrinsics import D435I_COLOR_MODES, D435I_COLOUR_OFFSET_M, Intrinsics
 from stair_env.sensors.camera.depth_error import DepthErrorConfig, DepthErrorModel, depth_rms_m, shadow_width_px
-from stair_env.sensors.camera.depth_holes import hole_probability
+from stair_env.sensors.camera.depth_model.depth_holes import hole_probability
 
 H, W = 480, 640
 INTRINSICS = D435I_COLOR_MODES["640x480"]
@@ -359,3 +359,130 @@ def test_wrong_config_is_named(field, value):
         DepthErrorConfig.from_dict({field: value})
     with pytest.raises(ValueError, match="dict"):
         DepthErrorConfig.from_dict([field])
+
+
+# --- what matching does to stairs ------------------------------------------------------------------------------------
+
+
+def crease(row=240, per_row=0.06):
+    """A concave crease along a row: disparity rises away from it on both sides."""
+    disparity = 12.0 + per_row * np.abs(np.arange(H) - row)
+    return np.repeat((IDEAL.focal_px * IDEAL.baseline_m / disparity)[:, None], W, axis=1).astype(np.float32)
+
+
+def test_creases_are_rounded_over_the_window_and_nothing_else_changes():
+    depth_m, window = crease(), 13.0
+    out = apply(only(crease_window_px=(window, window)), depth_m)
+    error_px = np.abs(IDEAL.focal_px * IDEAL.baseline_m * (1.0 / out - 1.0 / depth_m))[:, 300]
+    half = window / 2 * INTRINSICS.fx / IDEAL.focal_px
+    assert error_px[240] == pytest.approx(0.06 * half / 2.0, rel=0.15), "the mean of a triangle over the window"
+    assert error_px.argmax() == 240
+    far = np.abs(np.arange(H) - 240) > half + 1
+    np.testing.assert_array_equal(out[far], depth_m[far])
+
+
+def test_each_unit_has_its_own_window_place_and_surroundings():
+    model, rng = DepthErrorModel(), np.random.default_rng(0)
+    units = []
+    for _ in range(200):
+        model.reset(rng)
+        units.append(model.unit)
+    low, high = model.config.crease_window_px
+    windows = [unit.crease_window_px for unit in units]
+    assert low <= min(windows) < low + 1 and high - 1 < max(windows) <= high
+    assert np.ptp([unit.severity for unit in units]) > 1.8
+    assert max(abs(shift) for unit in units for shift in unit.shift_px) <= model.config.misalignment_px
+
+
+def test_reset_takes_the_same_random_numbers_whatever_is_configured():
+    states = []
+    for model in (DepthErrorModel(), DepthErrorModel(IDEAL)):
+        rng = np.random.default_rng(0)
+        model.reset(rng)
+        states.append(rng.bit_generator.state)
+    assert states[0] == states[1]
+
+
+def test_structured_error_stays_with_the_unit_and_is_broad():
+    model = only(structured_px=0.1)
+    model.reset(np.random.default_rng(1))
+    frames = [apply(model, plane(1.0), seed=seed) for seed in range(2)]
+    np.testing.assert_array_equal(*frames)
+    error_px = IDEAL.focal_px * IDEAL.baseline_m * (1.0 / frames[0].astype(np.float64) - 1.0)
+    assert error_px.std() == pytest.approx(0.1, rel=0.4)
+    assert np.abs(np.diff(error_px, axis=1)).max() < 0.02
+    model.reset(np.random.default_rng(2))
+    assert not np.array_equal(apply(model, plane(1.0)), frames[0])
+
+
+def test_single_holes_are_single():
+    lost = apply(only(single_holes=0.01), plane(1.0)) == 0.0
+    assert lost.mean() == pytest.approx(0.01, rel=0.15)
+    assert (lost[:, 1:] & lost[:, :-1]).sum() < 0.05 * lost.sum()
+
+
+def test_fattening_lets_the_near_side_grow():
+    depth_m = box_before_wall(1.0, 2.0)
+    out = apply(only(fattened_share=0.5), depth_m)
+    assert set(np.unique(out)) == {np.float32(1.0), np.float32(2.0)}
+    assert (out < depth_m).sum() > 500 and not (out > depth_m).any()
+
+
+def test_bands_are_lost_along_creases_where_nothing_has_texture():
+    grey, model = np.full((H, W, 3), 120, np.uint8), only(lost_treads=0.9)
+    lost = apply(model, crease(per_row=0.08), grey) == 0.0
+    assert lost[232:248].mean() > 0.3 and not lost[:200].any() and not lost[280:].any()
+    along, across = (np.mean(lost[232:248, 3:] & lost[232:248, :-3]), np.mean(lost[235:248] & lost[232:245]))
+    assert along > 0.9 * lost[232:248].mean() and across < along, "bands are long"
+    assert np.mean(apply(model, crease(per_row=0.08))[232:248] == 0.0) < 0.6 * lost[232:248].mean()
+    assert not (apply(model, plane(1.5), grey) == 0.0).any()
+
+
+def test_false_patches_are_too_near_and_rare():
+    out = apply(only(false_patches=0.02), plane(2.0))
+    false = np.abs(out - 2.0) > 0.01
+    assert false.mean() == pytest.approx(0.02, rel=0.3)
+    assert (out[false] < 1.6).all() and (out[false] > 0.8).all()
+    assert (false[:, 1:] & false[:, :-1]).sum() > 0.8 * false.sum()
+
+
+def test_a_misaligned_unit_shifts_and_scales_the_image_by_a_pixel_or_two():
+    depth_m, model = box_before_wall(1.0, 2.0), only(misalignment_px=1.5, focal_error_range=0.003)
+    places = []
+    for seed in range(30):
+        model.reset(np.random.default_rng(seed))
+        near = apply(model, depth_m) == 1.0
+        places.append((np.flatnonzero(near[200])[0], np.flatnonzero(near[:, 400])[0]))
+    places = np.array(places) - (300, 100)
+    assert (np.ptp(places, axis=0) >= 2).all() and np.abs(places).max() <= 3
+    model.reset(np.random.default_rng(0))
+    np.testing.assert_array_equal(apply(model, depth_m), apply(model, depth_m, seed=5))
+
+
+def test_a_standing_camera_keeps_part_of_its_noise_and_its_holes():
+    model, rng = DepthErrorModel(), np.random.default_rng(0)
+
+    def frames(standing):
+        out = [model.apply(plane(2.0), textured(), INTRINSICS, rng, standing) for _ in range(2)]
+        both = (out[0] > 0.0) & (out[1] > 0.0) & (np.abs(out[0] - 2) < 0.1) & (np.abs(out[1] - 2) < 0.1)
+        structured = model.config.structured_px**2
+        share = np.corrcoef(out[0][both], out[1][both])[0, 1]
+        total = structured + model.config.disparity_noise_px**2
+        return share * total - structured, np.mean((out[0] == 0.0) & (out[1] == 0.0)) / np.mean(out[0] == 0.0)
+
+    (moving, moving_holes), (standing, standing_holes) = frames(False), frames(True)
+    noise = model.config.disparity_noise_px**2
+    assert standing - moving == pytest.approx(model.config.still_share * noise, rel=0.5)
+    assert moving_holes < 0.2 < 0.4 < standing_holes
+
+
+def test_the_filters_calm_the_noise_and_close_single_holes():
+    plain, filtered = (DepthErrorModel(DepthErrorConfig(filters=on, structured_px=0.0)) for on in (False, True))
+    raw, calm = (apply(model, plane(2.0)) for model in (plain, filtered))
+
+    def spread(out):
+        return np.percentile(np.abs(out[out > 0.0] - 2.0), 68)
+
+    assert spread(calm) < 0.75 * spread(raw)
+    assert np.mean(calm == 0.0) < 0.6 * np.mean(raw == 0.0)
+    assert filtered.unit.crease_window_px > 1.2 * plain.unit.crease_window_px

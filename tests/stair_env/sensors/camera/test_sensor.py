@@ -365,3 +365,20 @@ def test_threads_do_not_change_the_frames(monkeypatch):
     for one, two in zip(*readings):
         np.testing.assert_array_equal(one.rgb, two.rgb)
         np.testing.assert_array_equal(one.depth_m, two.depth_m)
+
+
+def test_depth_flickers_less_before_a_standing_camera():
+    def change(speed_m_s):
+        sensor, _ = camera(width=None, latency_s=0.0, rate_hz=48.0, depth_error={"structured_px": 0.0})
+        frames = [sensor.step(index * CONTROL_DT, pose_at(speed_m_s * index * CONTROL_DT)) for index in range(2)]
+        (first, second), exact = frames, FloorRenderer()
+        poses = [pose_at(speed_m_s * index * CONTROL_DT) for index in range(2)]
+        errors = [
+            1.0 / np.maximum(reading.depth_m, 0.05)
+            - 1.0 / np.maximum(exact.render(sensor.intrinsics, pose).depth_m, 0.05)
+            for reading, pose in zip((first, second), poses)
+        ]
+        both = (first.depth_m > 0.0) & (second.depth_m > 0.0) & (np.abs(errors[0]) < 0.05) & (np.abs(errors[1]) < 0.05)
+        return (errors[1] - errors[0])[both].std()
+
+    assert change(0.0) < 0.85 * change(0.5)

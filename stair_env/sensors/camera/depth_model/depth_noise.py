@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stair_env.common.validation import SpecError, check_range
-from stair_env.sensors.camera.depth_unit import DepthUnit
+from stair_env.sensors.camera.depth_model.depth_unit import DepthUnit
 from stair_env.sensors.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile, uniform_tile
 
 if TYPE_CHECKING:
@@ -76,10 +76,11 @@ def noise_tables(window_px: float, magnification: float, width: int) -> tuple[np
     """Two tables of normal noise and three of uniform: `normal, broad, uniform, streaks, white` of the kernels."""
     window = round(window_px * magnification * 4.0) / 4.0  # in steps, so that few tables are made
     broad, streak = (round(size * magnification * 4.0) / 4.0 for size in (BROAD_PX, STREAK_PX))
-    # Averaging over a window leaves noise as wide as the window (a Gaussian of a third of its side), and the residual
-    # error of subpixel interpolation adds the broad dents that planes show in point clouds.
+    # Averaging over a window leaves noise as wide as the window (a Gaussian of a third of its side), the residual error
+    # of subpixel interpolation adds the broad dents that planes show in point clouds, and steps of the disparity a
+    # little of every wavelength. The shares are fitted to the spectrum of matched depth.
     return (
-        gaussian_tile((window / 3.0, 1.5 * window), (0.85, 0.15), width, 0),
+        gaussian_tile((0.0, window / 3.0, 1.5 * window), (0.02, 0.38, 0.6), width, 0),
         gaussian_tile((broad,), (1.0,), width, 2),
         uniform_tile((window / 3.0, window), (0.5, 0.5), width + 8, 1),
         uniform_tile((0.4 * streak, streak), (0.3, 0.7), width + 8, 3, STREAK_STRETCH),

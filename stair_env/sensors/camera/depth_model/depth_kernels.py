@@ -294,7 +294,7 @@ def finish(
         uniform, streaks, white: (N, N + W + CELL_PX) uniform noise: blobs, long along the rows, uncorrelated.
         offsets: (k,) int64 places in the tables where this frame begins.
         unit_place: place in `broad` that belongs to the unit.
-        chances: (2, at least W + CELL_PX) float32, scratch.
+        chances: (2 or more, at least W + CELL_PX) float32, scratch.
         out: (H, W) float32, written.
     """
     side = normal.shape[0]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stair_env.sensors.camera.depth_error import DepthErrorConfig
 
 NOISE_FACTORS = (0.9, 2.4)  # surfaces of a staircase against the target of the data sheet; fitted to matched depth
-REACH_FACTORS = (0.25, 1.2)  # daylight through a window against lamps; likewise
+REACH_FACTORS = (0.2, 1.2)  # daylight through a window against lamps; likewise
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class DepthUnit:
         rows = _sources(intrinsics.height, intrinsics.cy, down, self.focal_error)
         if (columns == np.arange(len(columns))).all() and (rows == np.arange(len(rows))).all():
             return depth_m
-        from stair_env.sensors.camera.crease_kernels import resample
+        from stair_env.sensors.camera.depth_model.crease_kernels import resample
 
         breaks = np.flatnonzero(np.diff(columns) != 1) + 1
         starts = np.concatenate([[0], breaks, [len(columns)]]).astype(np.int64)

@@ -8,7 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from stair_env.sensors.camera.depth_error import DepthErrorConfig
-    from stair_env.sensors.camera.depth_unit import DepthUnit
+    from stair_env.sensors.camera.depth_model.depth_unit import DepthUnit
 
 DARK_FRAME_LEVEL = 12.0  # mean of 0-255 up to which brightness says nothing about reflectance
 LIT_FRAME_LEVEL = 80.0  # and from which it is taken at its word
@@ -31,7 +31,7 @@ def hole_corners(config: DepthErrorConfig, unit: DepthUnit, rgb: np.ndarray, dis
     Returns:
         (2, h + 1, w + 1) float32: holes, bands.
     """
-    from stair_env.sensors.camera import depth_kernels as kernels
+    from stair_env.sensors.camera.depth_model import depth_kernels as kernels
 
     rows, columns = (-(-side // kernels.CELL_PX) for side in disparity.shape)
     config_sum = config.speckle + config.textureless_dropout + config.dark_dropout + config.specular_dropout

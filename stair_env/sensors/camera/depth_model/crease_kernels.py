@@ -14,7 +14,7 @@ _FLAT_PX = np.float32(2e-3)  # rounding of running sums; below it a pixel lies o
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def round_creases(
-    disparity: np.ndarray, half: int, limit: np.float32, columns: np.ndarray, box: np.ndarray, measured: np.ndarray
+    disparity: np.ndarray, half: int, limit: np.float32, scratch: np.ndarray, measured: np.ndarray
 ) -> None:
     """Replace disparities by their mean over the matching window where the surface is continuous.
 
@@ -26,11 +26,12 @@ def round_creases(
         disparity: (H, W) float32 of the scene.
         half: the window reaches that many image pixels to each side; near the border it shrinks to stay centred.
         limit: largest change, depth-imager pixels.
-        columns, box: (W,) float32, scratch.
+        scratch: (4, at least W) float32.
         measured: (H, W) float32, the same with 0 in shadows; changed in place.
     """
     height, width = disparity.shape
     zero, one = np.float32(0.0), np.float32(1.0)
+    columns, box, sums, other = scratch[0, :width], scratch[1, :width], scratch[2, :width], scratch[3, :width]
     span = max(width - 2 * half, 0)
     columns[:] = zero
     first, last = 0, -1  # rows that the column sums hold
@@ -50,20 +51,45 @@ def round_creases(
         per_box = per_column / np.float32(2 * half + 1)
         for u in range(width):
             box[u] = columns[u] * per_column
-        inner = box[half : half + span]
-        for u in range(span):
-            inner[u] = zero
-        for shift in range(2 * half + 1):
-            shifted = columns[shift : shift + span]
-            for u in range(span):
-                inner[u] += shifted[u]
-        for u in range(span):
-            inner[u] *= per_box
+        _add_neighbours(columns, 2 * half + 1, sums, other, box[half : half + span])
+        for u in range(half, half + span):
+            box[u] *= per_box
         row = measured[v]
         for u in range(width):
             d = row[u]
             change = abs(box[u] - d)
             row[u] = box[u] if (d > zero) & (change > _FLAT_PX) & (change < limit) else d
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (n,) with the sums of `count` neighbours, out[u] = values[u] + ... + values[u + count - 1].
+
+    Sums of 1, 2, 4, 8 neighbours are each made of the ones before, and those that make up `count` are added: half the
+    passes of adding one by one, and every one of them made of vector instructions.
+
+    Args:
+        values: (n + count - 1,) float32.
+        count: positive.
+        sums, other: as long as values, scratch; two, because the compiler does not vectorise what overlaps.
+        out: (n,) float32, written.
+    """
+    for u in range(len(values)):
+        sums[u] = values[u]
+    for u in range(len(out)):
+        out[u] = np.float32(0.0)
+    size, done = 1, 0
+    while size <= count:
+        if count & size:
+            part = sums[done : done + len(out)]
+            for u in range(len(out)):
+                out[u] += part[u]
+            done += size
+        ahead = sums[size:]
+        for u in range(len(ahead)):
+            other[u] = sums[u] + ahead[u]
+        sums, other = other, sums
+        size *= 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
