@@ -69,7 +69,7 @@ def main() -> None:
             axis.set_facecolor("black")
         for axis, title in zip(row, ("colour, clean", "exact depth", "reported depth")):
             axis.set(title=title, xticks=[], yticks=[])
-    figure.savefig(Path(__file__).with_name("depth_error.png"), dpi=90)
+    figure.savefig(Path(__file__).with_name("depth_error.png"), dpi=70)
 
 
 if __name__ == "__main__":
