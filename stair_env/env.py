@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -11,30 +13,30 @@ from gymnasium import spaces
 
 from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
 from stair_env.common.pickling import PicklesByArguments
-from stair_env.common.validation import SpecError, check_choice
-from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
-from stair_env.onboard.attitude import AttitudeFilter, base_to_level
-from stair_env.onboard.gait import ACTION_SIZE, Gait
+from stair_env.common.validation import check_choice
+from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
+from stair_env.onboard.gait import GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.onboard.leg_odometry import LegOdometry
+from stair_env.onboard.planner import GaitPlanner, make_planner
+from stair_env.onboard.proprioception import Proprioception
 from stair_env.physics.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
-from stair_env.physics.trunk_motion import MotionRecorder
-from stair_env.robots import NUM_JOINTS, get_robot
+from stair_env.robots import RobotSpec, get_robot
 from stair_env.scene.shapes import Shape, build_stair_shapes
+from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.sensors.camera.third_person_bullet import Onlooker
-from stair_env.sensors.imu import Imu, ImuConfig
+from stair_env.sensors.imu import ImuConfig, MountedImu
 from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import read_curriculum
-from stair_env.task.privileged import Truth, pack_privileged, privileged_space
+from stair_env.task.disturbances import CommandLatency, Pushes
+from stair_env.task.observation_terms import ObservationTerm, read_observations
 from stair_env.task.randomization import read_randomization
-from stair_env.task.rewards import StepOutcome, read_weights, reward_terms, riser_hits
-from stair_env.task.sources import ExternalSource, HipPose, make_source, true_block
+from stair_env.task.rewards import RewardTerm, read_rewards
+from stair_env.task.sources import ExternalSource, StairSource, make_source, observe_stairs
 from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, standing_at
-from stair_env.task.stair_ranges import StairRanges
-from stair_env.task.termination import FAILURES, Judge
+from stair_env.task.stair_ranges import StairRanges, StairSampler, draw_sampled, read_sampler
+from stair_env.task.step_state import Episode, StepRecorder, StepState
+from stair_env.task.termination import TerminationFunction, read_terminations
 
-ACTUATIONS = ("gait", "joint")
-JOINT_ACTION_RAD = 0.5  # actuation="joint": an action of ±1 moves a joint this far from standing
 SETTLE_STEPS = 12  # control steps to stand still before the episode begins
 RENDER_MODES = ("human", "rgb_array", "depth_array")
 
@@ -47,23 +49,36 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.onboard.gait.GaitAction`), or with
     actuation="joint" twelve joint offsets from standing.
 
+    Parts are taken by name, which keeps `spec.to_json()` possible, or as objects (`stair_env.parts`). Objects travel to
+    worker processes by cloudpickle, and each environment works with a copy of its own.
+
     Args:
-        robot: name in `stair_env.robots.ROBOTS`.
+        robot: name in `stair_env.robots.ROBOTS`, or a RobotSpec.
         direction: "up", "down" or "both".
         riser_height, tread_depth: a number or [low, high], metres (paper: step height and width).
         num_steps: a number or [low, high].
         lighting: "day", "night" or "random"; matters to cameras.
         camera: renderer and sensor options; matters to the RGBD environment.
         actuation: "gait" or "joint".
-        stair_source: what fills the stair block (`stair_env.task.sources`).
+        gait: "trot", a GaitConfig, a GaitPlanner, or what makes one for a RobotSpec.
+        stair_source: what fills the stair block (`stair_env.task.sources`): a name, or a StairSource.
         render_mode: "human", "rgb_array", "depth_array" or None.
         curriculum: None, True or fields of `CurriculumConfig`.
-        randomization: None, True or fields of `Randomization`.
+        randomization: None, True, fields of `Randomization`, or one.
         spawn: "floor", or "anywhere" to start some episodes on the flight.
         uneven: largest deviation of single risers and treads, metres.
         flight_width: metres.
         reward_weights: fields of `RewardWeights` to change.
+        rewards: by name: a RewardTerm adds or replaces a term, a number is a default term's weight, None switches a
+            default term off.
+        terminations: by name: a function of a StepState adds or replaces a way to end, None switches a default one off.
+        observations: by name: an ObservationTerm adds a part of the observation, None leaves one out.
+        sampler: draws staircases or scenes in place of direction, riser_height, tread_depth, num_steps, flight_width
+            and uneven: an object with sample(rng), for example a `stair_env.sampling.SceneSampler`.
         privileged: add what only the simulator knows to the observation, for a critic or a teacher.
+
+    Attributes:
+        state: the StepState of the last control step or reset.
 
     Raises:
         SpecError: (a ValueError) an argument is wrong; the message names it, its value and the choices.
@@ -71,10 +86,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(CONTROL_RATE_HZ)}  # noqa: RUF012 (Gymnasium's)
     observation_space: spaces.Dict  # type: ignore[assignment]
+    state: StepState
 
     def __init__(
         self,
-        robot: str = "aliengo",
+        robot: str | RobotSpec = "aliengo",
         direction: str = "up",
         riser_height: Any = (0.10, 0.17),
         tread_depth: Any = (0.26, 0.34),
@@ -82,7 +98,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         lighting: str = "day",
         camera: dict[str, Any] | None = None,
         actuation: str = "gait",
-        stair_source: str = "oracle",
+        stair_source: str | StairSource = "oracle",
         render_mode: str | None = None,
         curriculum: Any = None,
         randomization: Any = None,
@@ -91,14 +107,16 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         flight_width: float = 1.2,
         reward_weights: dict[str, float] | None = None,
         privileged: bool = False,
+        gait: str | GaitConfig | GaitPlanner | Callable[[RobotSpec], GaitPlanner] = "trot",
+        rewards: Mapping[str, RewardTerm | float | None] | None = None,
+        terminations: Mapping[str, TerminationFunction | None] | None = None,
+        observations: Mapping[str, ObservationTerm | None] | None = None,
+        sampler: StairSampler | None = None,
     ) -> None:
         self.robot = get_robot(robot)
         self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
         check_choice("lighting", lighting, LIGHTING_CHOICES)
-        check_choice("actuation", actuation, ACTUATIONS)
         check_choice("spawn", spawn, SPAWNS)
-        if not isinstance(privileged, bool):
-            raise SpecError(f"privileged={privileged!r} must be True or False")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
@@ -106,21 +124,23 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self.render_mode = render_mode
         self.randomization = read_randomization(randomization)
         self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
+        self.sampler = read_sampler(sampler, self.curriculum)
         self.source = make_source(stair_source)
-        self.weights = read_weights(reward_weights)
-        self.action_size = ACTION_SIZE if actuation == "gait" else NUM_JOINTS
+        self.gait = make_planner(gait, actuation, self.robot)
+        self.rewards = read_rewards(rewards, reward_weights)
+        self.terminations = read_terminations(terminations)
+        self.action_size = self.gait.action_size
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_size,), np.float32)
         self.privileged = privileged
-        parts: dict[str, spaces.Space[Any]] = {"proprio": proprio_space(self.action_size), "stair": stair_space()}
-        self.observation_space = spaces.Dict({**parts, PRIVILEGED_KEY: privileged_space()} if privileged else parts)
+        self._observations = read_observations(observations, privileged, self._sensed_spaces())
+        self.observation_space = self._observations.space
         self._unreported = False  # whether an episode is under way that the curriculum has not heard of
         self._sim: Simulation | None = None
         self._onlooker: Onlooker | None = None
-        self._gait = Gait(self.robot)
         self._kinematics = LegKinematics(self.robot)
-        self._odometry = LegOdometry(self.robot)
-        self._attitude = AttitudeFilter(PHYSICS_RATE_HZ)
-        self._standing_joints = self._kinematics.joint_angles(self.robot.nominal_feet)
+        self._proprioception = Proprioception(self.robot, PHYSICS_RATE_HZ)
+        self._latency = CommandLatency(self.randomization.command_latency)
+        self._pushes = Pushes(self.randomization.push_speed, self.randomization.push_interval_s)
 
     # ------------------------------------------------------------------ episode
 
@@ -140,60 +160,77 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             check_choice("option", name, ("stairs", "x", "y", "yaw"))
         if self.curriculum is not None and self._unreported:
             self.curriculum.report(False)  # it ran out of time
-        self.stairs = self._draw_stairs(options.get("stairs"))
+        self.stairs, self._given_scene = self._draw_stairs(options.get("stairs"))
         self.profile = self.stairs.profile()
         spawn = draw_spawn(self.stairs, self.robot, self.spawn, self.np_random)
         if {"x", "y", "yaw"} & set(options):
             defaults = {"x": spawn.position[0], "y": spawn.position[1], "yaw": spawn.yaw}
             spawn = standing_at(self.stairs, self.robot, **{k: float(options.get(k, v)) for k, v in defaults.items()})
-        self._body = self.randomization.draw(self.np_random)
+        body = self.randomization.draw(self.np_random)
+        episode = Episode(self.stairs, self.profile, self.robot, body, float(spawn.position[0]))
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
         seeds = self.np_random.integers(0, 2**63, size=4)
-        source_rng, imu_rng, self._body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
-        shapes = self._world_shapes(self.stairs, camera_rng)
-        self._start(spawn, shapes, imu_rng)
+        source_rng, imu_rng, body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
+        self._build(episode, self._world_shapes(self.stairs, camera_rng))
+        targets = self._stand(spawn)
+        self._begin_walk(targets, spawn, imu_rng, body_rng)
         self.source.reset(self.stairs, source_rng)
         self._begin_sensors(camera_rng)
         self._observe_stairs()
-        self._judge = Judge(self.stairs, self.profile, self.robot, float(spawn.position[0]))
-        self._steps_climbed = self._judge.steps_behind(float(self._state.position[0]))
+        self._recorder = StepRecorder(episode, self.action_size)
+        self.state = self._recorder.begin(self._base, self._reading, targets, self._truth, self._block, CONTROL_DT)
         self._unreported = False
         return self._observation(), self._info({}, {})
 
-    def _draw_stairs(self, given: Any) -> StairSpec:
-        drawn = self.ranges.draw(self.np_random, self.curriculum)
+    def _draw_stairs(self, given: Any) -> tuple[StairSpec, SceneSpec | None]:
+        """The staircase, and the scene around it if it was drawn with one."""
+        if self.sampler is None:
+            drawn: tuple[StairSpec, SceneSpec | None] = self.ranges.draw(self.np_random, self.curriculum), None
+        else:
+            drawn = draw_sampled(self.sampler, self.np_random)
         if given is None:
             return drawn
-        return given if isinstance(given, StairSpec) else StairSpec.from_dict(given)
+        return given if isinstance(given, StairSpec) else StairSpec.from_dict(given), None
 
-    def _start(self, spawn: Spawn, shapes: tuple[Shape, ...], imu_rng: np.random.Generator) -> None:
-        """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
+    def _build(self, episode: Episode, shapes: tuple[Shape, ...]) -> None:
         if self._sim is None:
             self._sim = self._open_simulation()
+        self._episode = episode
+        self._sim.build(shapes, episode.body.friction)
+        self._sim.set_payload(episode.body.payload_kg)
+
+    def _stand(self, spawn: Spawn) -> np.ndarray:
+        """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest.
+
+        Returns:
+            (12,) joint angles that the motors hold, radians.
+        """
         sim = self._sim
-        sim.build(shapes, self._body.friction)
-        sim.set_payload(self._body.payload_kg)
+        assert sim is not None
         joints = self._kinematics.joint_angles(spawn.feet_in_base)
         sim.place_robot(spawn.position, spawn.yaw, joints, spawn.pitch)
         for _ in range(SETTLE_STEPS * SUBSTEPS):
             sim.command_joints(joints)
             sim.step_physics()
-        self.time_s = 0.0
-        self._imu = Imu(ImuConfig(), imu_rng)
-        self._imu.reset(imu_rng, 1.0 / PHYSICS_RATE_HZ)
-        self._state = sim.base_state()
-        self._motion = MotionRecorder(self._state)
-        self._attitude.reset(self._state.rotation[2] * GRAVITY_M_S2)
-        self._targets = joints
-        self._last_action = np.zeros(self.action_size)
-        self._odometry.reset()
-        self._odometry_velocity, self._yaw_rate = np.zeros(3), 0.0
-        self._gyro = np.zeros(3)
-        self._read_body()
-        feet = self._kinematics.foot_positions(self._joints) @ base_to_level(self._attitude.up).T
-        self._gait.reset(feet[:, 2] - feet[0, 2], phase=float(self._body_rng.random()), pitch=spawn.pitch)
-        self._next_push_s = self._draw_push_time()
-        self._energy = 0.0
+        self.time_s, self._energy = 0.0, 0.0
+        self._track, self._reading = sim.begin_track(), sim.read_robot()
+        self._base = self._track.last
+        return joints
+
+    def _begin_walk(
+        self, targets: np.ndarray, spawn: Spawn, imu_rng: np.random.Generator, body_rng: np.random.Generator
+    ) -> None:
+        """Reset what runs on the robot and what disturbs it."""
+        self._imu = MountedImu(ImuConfig(), np.zeros(3), np.eye(3), PHYSICS_RATE_HZ, imu_rng)
+        self._proprioception.reset(self._base.rotation[2] * GRAVITY_M_S2)
+        feet = self._kinematics.foot_positions(self._reading.joint_positions) @ self._proprioception.base_to_level.T
+        self.gait.reset(feet[:, 2] - feet[0, 2], phase=float(body_rng.random()), pitch=spawn.pitch)
+        self._latency.reset(targets, body_rng)
+        self._pushes.reset(body_rng)
+
+    def _sensed_spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Hook for environments with cameras: spaces of what the sensors give."""
+        return {"proprio": proprio_space(self.action_size), "stair": stair_space()}
 
     def _open_simulation(self, visible: bool = False) -> Simulation:
         """Hook for environments whose camera draws with Bullet's renderers (visible) or must load one first."""
@@ -201,13 +238,17 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         """Hook for environments with cameras, whose worlds have surroundings."""
-        return build_stair_shapes(stairs)
+        return build_stair_shapes(stairs) if self._given_scene is None else Scene(self._given_scene).shapes
 
     def _begin_sensors(self, rng: np.random.Generator) -> None:
         """Hook for environments with cameras: called once the robot stands."""
 
     def _advance_sensors(self) -> None:
         """Hook for environments with cameras: called after each control step."""
+
+    def _sense(self) -> dict[str, np.ndarray]:
+        """Hook for environments with cameras: what the sensors give, by name."""
+        return {"proprio": self._proprio(), "stair": self._block.as_array()}
 
     # ------------------------------------------------------------------ step
 
@@ -218,32 +259,21 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)
         if action.shape != (self.action_size,):
             raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
-        before = self._state
         self._unreported = True
-        self._move(action)
+        targets = self.gait.joint_targets(action, self._block, self._proprioception.velocity, CONTROL_DT)
+        self._move(targets)
         self._advance_sensors()
-        self._read_body()
+        self._reading = self._sim.read_robot()
+        joints, touching = self._reading.joint_positions, self._reading.contacts.touching
+        self._proprioception.update(self._imu.read(self._track), joints, touching, CONTROL_DT)
         self._observe_stairs()
-        steps_climbed = max(self._steps_climbed, self._judge.steps_behind(float(self._state.position[0])))
-        new_steps, self._steps_climbed = steps_climbed - self._steps_climbed, steps_climbed
-        feet = self._feet.tolist()
-        termination = self._judge.termination(self._state, feet)
-        outcome = StepOutcome(
-            before=before,
-            after=self._state,
-            feet=feet,
-            contacts=self._contacts,
-            riser_hits=self._riser_hits,
-            action=action,
-            last_action=self._last_action,
-            new_steps=new_steps,
-            slope_rad=self._judge.local_slope(feet),
-            success=termination == "success",
-            fell=termination in FAILURES,
-            dt=CONTROL_DT,
+        state = self._recorder.record(
+            self.time_s, self._base, self._reading, targets, action, self._truth, self._block, CONTROL_DT
         )
-        terms = reward_terms(outcome, self.profile, self.weights)
-        self._last_action = action
+        termination = self.terminations.reason(state)
+        self.state = state if not termination else dataclasses.replace(state, termination=termination)
+        terms = self.rewards.weighted(self.state)
+        self._energy += state.joint_power_w * CONTROL_DT
         if termination and self.curriculum is not None:
             self.curriculum.report(termination == "success")
             self._unreported = False
@@ -252,61 +282,22 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             self.render()
         return self._observation(), float(sum(terms.values())), bool(termination), False, info
 
-    def _move(self, action: np.ndarray) -> None:
+    def _move(self, targets: np.ndarray) -> None:
+        """Bring planned joint targets to the motors and let time pass."""
         sim = self._sim
         assert sim is not None
-        if self.actuation == "gait":
-            targets = self._gait.joint_targets(action, self._block, self._odometry_velocity, CONTROL_DT)
-        else:
-            targets = self._standing_joints + JOINT_ACTION_RAD * action
-        late = self.randomization.command_latency
-        command = self._targets if late and self._body_rng.random() < late else targets
-        sim.command_joints(command, self._body.motor_strength)
-        self._targets = targets
-        if self.randomization.push_interval_s and self.time_s >= self._next_push_s:
-            sim.push(np.append(self._body_rng.uniform(-1, 1, 2) * self.randomization.push_speed, 0.0))
-            self._next_push_s = self._draw_push_time()
-        self._motion.record(sim.step_and_track(SUBSTEPS))
-        self._state = self._motion.last
+        sim.command_joints(self._latency.deliver(targets), self._episode.body.motor_strength)
+        push = self._pushes.due(self.time_s)
+        if push is not None:
+            sim.push(push)
+        self._track = sim.step_and_track(SUBSTEPS)
+        self._base = self._track.last
         self.time_s += CONTROL_DT
-        samples = self._imu.sample(self._motion.at_base())
-        yaw_before = self._attitude.yaw
-        self._attitude.update(samples[:, :3], samples[:, 3:])
-        turn = self._attitude.yaw - yaw_before
-        self._yaw_rate = ((turn + math.pi) % (2 * math.pi) - math.pi) / CONTROL_DT
-        self._gyro = samples[-1, 3:]
-        self._specific_force = samples[:, :3].mean(axis=0)
-
-    def _draw_push_time(self) -> float:
-        interval = self.randomization.push_interval_s
-        return self.time_s + float(self._body_rng.exponential(interval)) if interval else np.inf
-
-    def _read_body(self) -> None:
-        sim = self._sim
-        assert sim is not None
-        self._joints, self._joint_rates, torques = sim.joint_states()
-        self._contacts = sim.foot_contacts()
-        self._feet = sim.foot_positions()
-        self._riser_hits = sum(riser_hits(self._contacts))
-        level = base_to_level(self._attitude.up)
-        if self.time_s > 0:
-            touching, turn = self._contacts.touching, self._yaw_rate * CONTROL_DT
-            self._odometry_velocity = self._odometry.update(
-                self._joints, touching, self._specific_force, level, turn, CONTROL_DT
-            )
-            self._energy += float(np.dot(np.abs(torques), np.abs(self._joint_rates))) * CONTROL_DT
 
     # ------------------------------------------------------------------ what comes out
 
-    def _hip_pose(self) -> HipPose:
-        yaw = self._state.yaw
-        reach = self.robot.hip_x[0] * math.hypot(self._state.rotation[0, 0], self._state.rotation[1, 0])
-        return HipPose(float(self._state.position[0]) + reach * math.cos(yaw), yaw, self.time_s)
-
     def _observe_stairs(self) -> None:
-        hips = self._hip_pose()
-        self._truth = true_block(self.stairs, self.profile, hips)
-        self._block = self.source.read(hips, self._truth)
+        self._truth, self._block = observe_stairs(self.source, self._episode, self._base, self.time_s)
 
     def provide_stair(self, block: StairBlock | np.ndarray) -> None:
         """Give the stair block that the gait reads at the next step (stair_source="external").
@@ -322,48 +313,42 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._block = block
 
     def _proprio(self) -> np.ndarray:
-        phase = 2 * np.pi * self._gait.phase
+        state, sensed, phase = self.state, self._proprioception, 2 * np.pi * self.gait.phase
         return pack_proprio(
             {
-                "gravity": -self._attitude.up,
-                "angular_velocity": self._gyro,
-                "velocity": self._odometry_velocity,
-                "yaw_rate": [self._yaw_rate],
-                "joint_position": self._joints,
-                "joint_velocity": self._joint_rates,
-                "joint_error": self._targets - self._joints,
-                "contact": self._contacts.touching,
-                "foothold_height": self._gait.foothold_heights,
+                "gravity": -sensed.up,
+                "angular_velocity": sensed.angular_velocity,
+                "velocity": sensed.velocity,
+                "yaw_rate": [sensed.yaw_rate],
+                "joint_position": state.joint_positions,
+                "joint_velocity": state.joint_velocities,
+                "joint_error": state.joint_targets - state.joint_positions,
+                "contact": state.contacts.touching,
+                "foothold_height": self.gait.foothold_heights,
                 "phase": [math.sin(phase), math.cos(phase)],
-                "last_action": self._last_action,
+                "last_action": state.action,
             }
         )
 
     def _observation(self) -> dict[str, np.ndarray]:
-        return {"proprio": self._proprio(), "stair": self._block.as_array(), **self._privileged()}
-
-    def _privileged(self) -> dict[str, np.ndarray]:
-        """The privileged part of the observation, empty unless asked for."""
-        if not self.privileged:
-            return {}
-        radius = self.robot.foot_radius
-        truth = Truth(self._truth, self.profile, self._state, self._contacts, self._feet, radius, self._body)
-        return {PRIVILEGED_KEY: pack_privileged(truth)}
+        sensed = self._sense()
+        return self._observations.select(sensed, self.state) if self._observations.changes else sensed
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
+        base = self.state.after
         info: dict[str, Any] = {
             "is_success": extra.get("termination") == "success",
-            "steps_climbed": self._steps_climbed,
+            "steps_climbed": self.state.steps_climbed,
             "reward_terms": terms,
             "truth": {
                 **self._truth._asdict(),
                 "riser_height": self.stairs.riser_height,
                 "tread_depth": self.stairs.tread_depth,
                 "num_steps": len(self.profile.edge_x),
-                "position": self._state.position.tolist(),
-                "velocity": self._state.velocity.tolist(),
-                "yaw": self._state.yaw,
-                "riser_hits": self._riser_hits,
+                "position": base.position.tolist(),
+                "velocity": base.velocity.tolist(),
+                "yaw": base.yaw,
+                "riser_hits": self.state.riser_hits,
                 "energy_j": self._energy,
             },
             **extra,
@@ -382,11 +367,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         if self._sim is None:
             raise gym.error.ResetNeeded("call reset() before render()")
         if self.render_mode == "human":
-            self._sim.follow_with_camera(self._state.position)
+            self._sim.follow_with_camera(self.state.after.position)
             return None
         if self._onlooker is None:
             self._onlooker = Onlooker()
-        colour, depth = self._onlooker.look(self._sim.client, self._state.position)
+        colour, depth = self._onlooker.look(self._sim.client, self.state.after.position)
         return colour if self.render_mode == "rgb_array" else depth
 
     def close(self) -> None:

@@ -5,6 +5,7 @@ Everything in them can come from a real robot's sensors. Heights and distances a
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -53,7 +54,6 @@ def name_slices(lengths: Mapping[str, int]) -> dict[str, slice]:
 PROPRIO_SLICES = name_slices({name: length for name, (length, _) in PROPRIO_FIELDS.items()})
 PROPRIO_SIZE = sum(length for length, _ in PROPRIO_FIELDS.values())
 PROPRIO_BOUND = np.concatenate([np.full(length, bound, np.float32) for length, bound in PROPRIO_FIELDS.values()])
-PROPRIO_LOW = -PROPRIO_BOUND
 
 
 class StairBlock(NamedTuple):
@@ -101,13 +101,21 @@ def stair_space() -> spaces.Box:
 
 def proprio_space(action_size: int = 16) -> spaces.Box:
     """Space of the proprioceptive block, fields in the order of PROPRIO_FIELDS."""
-    bound = PROPRIO_BOUND[: PROPRIO_SLICES["last_action"].start + action_size]
-    return spaces.Box(-bound, bound, dtype=np.float32)
+    low, high = _proprio_bounds(PROPRIO_SLICES["last_action"].start + action_size)
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+@functools.cache
+def _proprio_bounds(length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high (length,); the last action, whose entries are within 1, may be longer or shorter than the gait's."""
+    bound = np.concatenate([PROPRIO_BOUND, np.ones(max(0, length - PROPRIO_SIZE), np.float32)])[:length]
+    return -bound, bound
 
 
 def pack_proprio(fields: Mapping[str, np.ndarray | Sequence[float]]) -> np.ndarray:
     """Concatenate named vectors in the documented order, clipped to the space's bounds, float32."""
     parts = [fields[name] for name in PROPRIO_FIELDS]
     packed = np.concatenate(parts, dtype=np.float32, casting="same_kind")
-    np.minimum(packed, PROPRIO_BOUND[: len(packed)], out=packed)
-    return np.maximum(packed, PROPRIO_LOW[: len(packed)], out=packed)
+    low, high = _proprio_bounds(len(packed))
+    np.minimum(packed, high, out=packed)
+    return np.maximum(packed, low, out=packed)

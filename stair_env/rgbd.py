@@ -10,6 +10,7 @@ from gymnasium import spaces
 from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.env import StairClimbEnv
 from stair_env.intrinsics import Intrinsics
+from stair_env.observation import proprio_space
 from stair_env.physics.simulation import PHYSICS_RATE_HZ, SUBSTEPS, Simulation, base_to_world
 from stair_env.robots import mount_to_base
 from stair_env.sampling import Scene, SceneSampler
@@ -19,7 +20,7 @@ from stair_env.sensors.camera.renderers.bullet import load_egl
 from stair_env.sensors.camera.renderers.bullet_shapes import BodyShapes
 from stair_env.sensors.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
 from stair_env.sensors.camera.third_person import FollowCamera
-from stair_env.sensors.imu import IMU_POSITION_IN_CAMERA_M, Imu, ImuConfig
+from stair_env.sensors.imu import IMU_POSITION_IN_CAMERA_M, ImuConfig, MountedImu
 from stair_env.stairs import StairSpec
 
 IMU_BOUND = np.array([4 * GRAVITY_M_S2] * 3 + [np.radians(1000.0)] * 3, np.float32)  # BMI055 as set: ±4 g, ±1000 °/s
@@ -45,23 +46,22 @@ class StairClimbRgbdEnv(StairClimbEnv):
 
     def __init__(self, camera: dict[str, Any] | None = None, **kwargs: Any) -> None:
         kwargs.setdefault("stair_source", "external")
-        super().__init__(camera=camera, **kwargs)
-        self.camera_config = CameraConfig.from_dict(camera)
+        self.camera_config = CameraConfig.from_dict(camera)  # the observation's space depends on it
         self.camera_intrinsics: Intrinsics = self.camera_config.intrinsics
-        height, width = self.camera_intrinsics.height, self.camera_intrinsics.width
-        bound = np.tile(IMU_BOUND, (SUBSTEPS, 1))
-        inherited = {key: space for key, space in self.observation_space.items() if key != "stair"}
-        self.observation_space = spaces.Dict(
-            {
-                **inherited,
-                "imu": spaces.Box(-bound, bound, dtype=np.float32),
-                "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
-                "depth": spaces.Box(0.0, FAR_M, (height, width), np.float32),
-            }
-        )
+        super().__init__(camera=camera, **kwargs)
         self._camera: RgbdCamera | None = None
         self._camera_to_base = mount_to_base(self.robot.camera)
         self._scene_sampler = SceneSampler(lighting=self.lighting)  # type: ignore[arg-type]
+
+    def _sensed_spaces(self) -> dict[str, spaces.Space[Any]]:
+        height, width = self.camera_intrinsics.height, self.camera_intrinsics.width
+        bound = np.tile(IMU_BOUND, (SUBSTEPS, 1))
+        return {
+            "proprio": proprio_space(self.action_size),
+            "imu": spaces.Box(-bound, bound, dtype=np.float32),
+            "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
+            "depth": spaces.Box(0.0, FAR_M, (height, width), np.float32),
+        }
 
     def _open_simulation(self, visible: bool = False) -> Simulation:
         sim = super()._open_simulation(visible or self.camera_config.renderer != "raycast")
@@ -70,7 +70,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
         return sim
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
-        self.scene = Scene(self._scene_sampler.sample_around(stairs, rng))
+        self.scene = Scene(self._given_scene or self._scene_sampler.sample_around(stairs, rng))
         if self.camera_config.renderer == "raycast":
             return super()._world_shapes(stairs, rng)  # walls and furniture out of the way need no bodies
         return self.scene.shapes  # Bullet's renderers draw bodies
@@ -87,36 +87,37 @@ class StairClimbRgbdEnv(StairClimbEnv):
             self._camera = RgbdCamera(self.camera_config, renderer, rng)
         else:
             self._camera.reset(rng, renderer)
-        self._camera_imu = Imu(ImuConfig(), rng)
-        self._camera_imu.reset(rng, 1.0 / PHYSICS_RATE_HZ)
-        self._advance_sensors()
-
-    def _advance_sensors(self) -> None:
-        assert self._camera is not None
-        pose = base_to_world(self._state) @ self._camera_to_base @ self._tilt
-        self._reading: RgbdReading = self._camera.step(self.time_s, pose, self._body_shapes.shapes)
         mount = self._camera_to_base @ self._tilt
         lever = mount[:3, :3] @ np.asarray(IMU_POSITION_IN_CAMERA_M) + mount[:3, 3]
-        felt = self._motion.at_point(lever, mount[:3, :3])
-        if len(felt) < SUBSTEPS:  # at rest, before the first step
-            felt = np.zeros((SUBSTEPS, 6))
-            felt[:, :3] = GRAVITY_M_S2 * (mount[:3, :3].T @ self._state.rotation[2])
-        self._imu_samples = np.clip(self._camera_imu.sample(felt), -IMU_BOUND, IMU_BOUND).astype(np.float32)
+        self._camera_imu = MountedImu(ImuConfig(), lever, mount[:3, :3], PHYSICS_RATE_HZ, rng)
+        self._photograph()
+        self._put_imu(self._camera_imu.read_at_rest(self._base.rotation[2], SUBSTEPS))
 
-    def _observation(self) -> dict[str, np.ndarray]:
+    def _advance_sensors(self) -> None:
+        self._photograph()
+        self._put_imu(self._camera_imu.read(self._track))
+
+    def _photograph(self) -> None:
+        assert self._camera is not None
+        pose = base_to_world(self._base) @ self._camera_to_base @ self._tilt
+        self._frame: RgbdReading = self._camera.step(self.time_s, pose, self._body_shapes.shapes)
+
+    def _put_imu(self, samples: np.ndarray) -> None:
+        self._imu_samples = np.clip(samples, -IMU_BOUND, IMU_BOUND).astype(np.float32)
+
+    def _sense(self) -> dict[str, np.ndarray]:
         return {
             "proprio": self._proprio(),
             "imu": self._imu_samples.copy(),
-            "rgb": self._reading.rgb.copy(),
-            "depth": np.clip(self._reading.depth_m, 0.0, FAR_M),
-            **self._privileged(),
+            "rgb": self._frame.rgb.copy(),
+            "depth": np.clip(self._frame.depth_m, 0.0, FAR_M),
         }
 
     def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
         info = super()._info(terms, extra)
         info["camera"] = {
-            "frame": self._reading.frame_index,
-            "captured_at_s": self._reading.captured_at_s,
+            "frame": self._frame.frame_index,
+            "captured_at_s": self._frame.captured_at_s,
             "time_s": self.time_s,
         }
         return info
@@ -125,7 +126,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
         """Third-person picture with the scene's materials and light, uint8 (480, 640, 3); needs no render_mode."""
         if self._follower is None:
             self._follower = FollowCamera(self.scene)
-        return self._follower.look(self._state.position, self._body_shapes.shapes())
+        return self._follower.look(self.state.after.position, self._body_shapes.shapes())
 
     def close(self) -> None:
         """Release the physics and the camera; safe to call twice."""

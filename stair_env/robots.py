@@ -1,4 +1,4 @@
-"""Legged robots as data: adding one is adding an entry to ROBOTS, never a class.
+"""Legged robots as data: one more is one more RobotSpec, never a class.
 
 All robots share one canonical convention, whatever their URDF does: legs in the order FR, FL, RR, RL; three joints a
 leg (hip abduction about +x, upper and lower about +y of the base frame, zero = leg straight down, knee bent backwards
@@ -8,11 +8,12 @@ is negative). `joint_signs` and `joint_offsets` translate: urdf_angle = sign * c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from stair_env.common.transforms import look_along
-from stair_env.common.validation import check_choice, check_range
+from stair_env.common.validation import SpecError, check_choice, check_range
 from stair_env.scene.shapes import IDENTITY, Quaternion, Vector3
 
 LEGS = ("FR", "FL", "RR", "RL")
@@ -38,8 +39,8 @@ class RobotSpec:
     """What the simulation, the gait and the sensors need to know of a robot.
 
     Attributes:
-        name: key in ROBOTS.
-        urdf: path inside pybullet_data.
+        name: key in ROBOTS, or any other for a robot of one's own.
+        urdf: path inside pybullet_data, or of a file of one's own.
         joint_names: (12,) URDF joints in canonical order.
         toe_names: (4,) names of the links that touch the ground, canonical leg order.
         hip_x, hip_y: (front, rear) x and the y magnitude of the abduction axes in the base frame, metres.
@@ -74,9 +75,7 @@ class RobotSpec:
     def __post_init__(self) -> None:
         for name, length in (("joint_names", 12), ("toe_names", 4), ("joint_signs", 12), ("joint_offsets", 12)):
             if len(getattr(self, name)) != length:
-                raise ValueError(
-                    f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}"
-                )
+                raise SpecError(f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}")
         check_range("stand_height", self.stand_height, 0.05, self.upper_length + self.lower_length)
 
     @property
@@ -188,14 +187,36 @@ _MINI_CHEETAH = RobotSpec(
 ROBOTS: dict[str, RobotSpec] = {robot.name: robot for robot in (_ALIENGO, _A1, _LAIKAGO, _MINI_CHEETAH)}
 
 
-def get_robot(name: str) -> RobotSpec:
-    """Look a robot up.
+def get_robot(robot: str | RobotSpec) -> RobotSpec:
+    """Return the robot of a name; a RobotSpec is returned as it is.
 
     Raises:
-        SpecError: the name is unknown; the message lists the choices.
+        SpecError: the name is unknown, the message lists the choices; or a RobotSpec's URDF is not there.
     """
-    check_choice("robot", name, tuple(ROBOTS))
-    return ROBOTS[name]
+    if isinstance(robot, RobotSpec):
+        find_urdf(robot)
+        return robot
+    if not isinstance(robot, str):
+        raise SpecError(f"robot={robot!r} must be a RobotSpec or one of {', '.join(map(repr, ROBOTS))}")
+    check_choice("robot", robot, tuple(ROBOTS))
+    return ROBOTS[robot]
+
+
+def find_urdf(robot: RobotSpec) -> str:
+    """Return the path of a robot's URDF: as it stands if there is such a file, else inside pybullet_data.
+
+    Raises:
+        SpecError: there is no such file in either place.
+    """
+    import pybullet_data
+
+    data = Path(pybullet_data.getDataPath())
+    if (data / robot.urdf).is_file():  # an absolute path stays as it is
+        return robot.urdf
+    own = Path(robot.urdf).resolve()
+    if own.is_file():
+        return str(own)
+    raise SpecError(f"urdf={robot.urdf!r} of robot {robot.name!r} is no file, neither here nor in {data}")
 
 
 def mount_to_base(mount: CameraMount) -> np.ndarray:

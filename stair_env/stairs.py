@@ -11,7 +11,6 @@ paper, the *riser height* is its *step height*.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -74,21 +73,6 @@ class StairProfile:
     def plain(self) -> tuple[list[float], list[float]]:
         """`edge_x` and `level_z` as lists, which are several times as fast where one number is asked for at a time."""
         return self.edge_x.tolist(), self.level_z.tolist()
-
-    def level_under(self, x: float) -> float:
-        """`height_at` for one x."""
-        edges, levels = self.plain
-        return levels[bisect_right(edges, x)]
-
-    def edges_before(self, x: float) -> int:
-        """Number of transitions at less than x."""
-        return bisect_left(self.plain[0], x)
-
-    def distance_to_edge(self, x: float) -> float:
-        """Horizontal distance from x to the nearest transition, metres."""
-        edges = self.plain[0]
-        ahead = bisect_left(edges, x)
-        return min(abs(edge - x) for edge in edges[max(ahead - 1, 0) : ahead + 1])
 
     @property
     def rises(self) -> np.ndarray:

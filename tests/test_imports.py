@@ -38,6 +38,7 @@ FLOW = (
     "stair_env.sensors",
     "stair_env.observation",
     "stair_env.onboard stair_env.task stair_env.vectorized",
+    "stair_env.parts",
     "stair_env.env stair_env.vector",
     "stair_env.rgbd",
     "perception.network",

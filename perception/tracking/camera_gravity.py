@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stair_env.common.constants import LEVEL_CAMERA_GRAVITY, NOMINAL_GRAVITY_M_S2
-from stair_env.onboard.attitude import AttitudeFilter
+from stair_env.onboard.proprioception import AttitudeFilter
 
 IMU_RATE_HZ = 240.0
 AVERAGING_S = 0.8  # two strides of a trot; with the gain: measured on walking robots, docs/measuring.md

@@ -1,7 +1,7 @@
 """Where the robot has walked to: planar dead reckoning with a memory, so that late measurements find their place.
 
 The velocity comes from the observation (leg kinematics of the standing feet, gravity from the IMU, heading from the
-gyro; see `stair_env.onboard.leg_odometry`). It drifts by a few per cent, which is what the tracker is built to absorb.
+gyro; see `stair_env.onboard.proprioception`). It drifts by a few per cent, which the tracker is built to absorb.
 """
 
 from __future__ import annotations

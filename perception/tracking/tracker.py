@@ -17,7 +17,7 @@ from perception.tracking.nosing_filter import NosingMap
 from perception.tracking.pose_history import PlanarOdometry, PlanarPose
 from stair_env.common.validation import check_range
 from stair_env.observation import NO_STAIRS, StairBlock
-from stair_env.onboard.attitude import base_to_level
+from stair_env.onboard.proprioception import base_to_level
 
 MAX_GAP_TREADS = 1.6  # between nosings of one flight, beyond which the far one needs proof
 # Going down, no nosing nearer than this to the camera was missed beyond the farthest one measured, on 1500 of them.

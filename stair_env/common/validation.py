@@ -29,6 +29,11 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
         raise SpecError(f"{name}={value!r} must be one of {', '.join(map(repr, choices))}")
 
 
+def has_parts(value: object, names: tuple[str, ...]) -> bool:
+    """Whether an object has attributes and methods of these names; a class has none of its instances'."""
+    return not isinstance(value, type) and all(hasattr(value, name) for name in names)
+
+
 def as_range(name: str, value: object, low: float, high: float) -> tuple[float, float]:
     """Read an argument that is one number or two in order, as (low, high).
 

@@ -52,6 +52,7 @@ class GaitConfig:
         level: style on flat ground and up stairs.
         down: style down stairs: short, quick steps.
         swing_fraction: share of a leg's cycle in the air.
+        leg_offsets: where in the cycle each leg is when the first begins its swing, 0..1, canonical leg order.
         flat_speed: on ground without stairs, m/s.
         clearance: of the swing's apex above the highest ground under it, metres.
         unknown_clearance: the same while no stairs have been heard of, metres.
@@ -69,6 +70,7 @@ class GaitConfig:
     level: TrotStyle = TrotStyle(frequency_hz=3.1, speed_factor=0.94, capture_forward=0.14, capture_lateral=0.22)
     down: TrotStyle = TrotStyle(frequency_hz=4.0, capture_forward=0.1, capture_lateral=0.2)
     swing_fraction: float = 0.5
+    leg_offsets: tuple[float, float, float, float] = TROT_OFFSETS
     flat_speed: float = 0.35
     clearance: float = 0.08
     unknown_clearance: float = 0.12
@@ -125,6 +127,8 @@ class Gait:
         robot: which robot.
         config: numbers of the trot.
     """
+
+    action_size = ACTION_SIZE
 
     def __init__(self, robot: RobotSpec, config: GaitConfig = GaitConfig()) -> None:
         self.robot = robot
@@ -244,7 +248,7 @@ class Gait:
 
     def _swing_progress(self) -> list[float]:
         """How far each leg is through its swing, 0..1; from 1 on it stands."""
-        return [((self.phase + offset) % 1.0) / self.config.swing_fraction for offset in TROT_OFFSETS]
+        return [((self.phase + offset) % 1.0) / self.config.swing_fraction for offset in self.config.leg_offsets]
 
     def _step_feet(
         self, frequency: float, speed: float, catch: tuple[float, float], extra_clearance: float, dt: float

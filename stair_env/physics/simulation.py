@@ -19,8 +19,18 @@ import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
 from stair_env.common.constants import GRAVITY_M_S2
-from stair_env.physics.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
-from stair_env.robots import NUM_JOINTS, RobotSpec
+from stair_env.common.validation import SpecError, check_choice
+from stair_env.physics.body_kernels import (
+    ANGULAR_VELOCITY,
+    POSITION,
+    READING_WIDTH,
+    ROTATION,
+    TRACK_WIDTH,
+    VELOCITY,
+    feel,
+    trace_trunk,
+)
+from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
 PHYSICS_RATE_HZ = 240
@@ -69,23 +79,44 @@ class BaseState(NamedTuple):
 
 
 class BaseTrack(NamedTuple):
-    """Trunk states after each of k physics steps.
+    """True motion of the trunk over k physics steps, from which inertial sensors read.
+
+    Rows are (18,) float64: position (3,), rotation base to world (9,) row by row, velocity (3,) and angular velocity
+    (3,), see `stair_env.physics.body_kernels.trace_trunk`.
 
     Attributes:
-        rows: (k, 18) float64, see `stair_env.physics.body_kernels.trace_trunk`.
+        start: (18,) before the first step.
+        rows: (k, 18) after each step.
     """
 
+    start: np.ndarray
     rows: np.ndarray
 
-    def state(self, index: int) -> BaseState:
-        """One row."""
-        row = self.rows[index]
+    @property
+    def last(self) -> BaseState:
+        """The newest state; without any step the one at the start."""
+        row = self.rows[-1] if len(self.rows) else self.start
         return BaseState(
             position=row[POSITION:ROTATION],
             rotation=row[ROTATION:VELOCITY].reshape(3, 3),
             velocity=row[VELOCITY:ANGULAR_VELOCITY],
             angular_velocity=row[ANGULAR_VELOCITY:],
         )
+
+    def felt_at(self, lever_arm: np.ndarray, sensor_to_base: np.ndarray) -> np.ndarray:
+        """Specific force and angular velocity that a sensor fixed to the trunk undergoes.
+
+        Args:
+            lever_arm: (3,) sensor in the base frame, metres.
+            sensor_to_base: (3, 3) rotation.
+
+        Returns:
+            (k, 6) float64, one row per physics step: specific force, m/s², and angular velocity, rad/s, in the
+            sensor's axes. At rest and level the force points up with 9.81 m/s².
+        """
+        rate_hz = float(PHYSICS_RATE_HZ)
+        felt: np.ndarray = feel(self.start, self.rows, lever_arm, sensor_to_base.ravel(), rate_hz, GRAVITY_M_S2)
+        return felt
 
 
 class FootContacts(NamedTuple):
@@ -100,6 +131,24 @@ class FootContacts(NamedTuple):
     touching: np.ndarray
     force: np.ndarray
     body_touches: bool
+
+
+class RobotReading(NamedTuple):
+    """Joints and feet at the end of a control step.
+
+    Attributes:
+        joint_positions: (12,) canonical angles, radians.
+        joint_velocities: (12,) rad/s.
+        joint_torques: (12,) of the motors in the last physics step, N·m.
+        contacts: of the feet.
+        feet: (4, 3) foot centres, world frame, metres.
+    """
+
+    joint_positions: np.ndarray
+    joint_velocities: np.ndarray
+    joint_torques: np.ndarray
+    contacts: FootContacts
+    feet: np.ndarray
 
 
 class Simulation:
@@ -122,6 +171,7 @@ class Simulation:
         self.body = -1
         self.ground: list[int] = []
         self._last_targets = np.zeros(NUM_JOINTS)
+        self._last_row = np.zeros(TRACK_WIDTH)  # of the trunk, where the next track begins
         self._signs = np.array(robot.joint_signs)
         self._offsets = np.array(robot.joint_offsets)
         # What Bullet calls zero, of angles, velocities and torques.
@@ -151,7 +201,10 @@ class Simulation:
         client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self.ground = [self._add_shape(shape, friction) for shape in shapes]
         drawn = pybullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES if self._visible else pybullet.URDF_IGNORE_VISUAL_SHAPES
-        self.body = client.loadURDF(self.robot.urdf, [0.0, 0.0, 5.0], flags=drawn)
+        try:
+            self.body = client.loadURDF(find_urdf(self.robot), [0.0, 0.0, 5.0], flags=drawn)
+        except pybullet.error as error:
+            raise SpecError(f"urdf={self.robot.urdf!r} of robot {self.robot.name!r}: {error}") from None
         self._bind_calls()
         self._index_links()
         # Damping belongs to the body: PyBullet applies a call that names it to link -1, its friction included.
@@ -174,6 +227,12 @@ class Simulation:
         infos = [client.getJointInfo(self.body, j) for j in range(client.getNumJoints(self.body))]
         joint_of = {info[1].decode(): info[0] for info in infos}
         link_of = {info[12].decode(): info[0] for info in infos}
+        for argument, names, known in (
+            ("joint_names", robot.joint_names, joint_of),
+            ("toe_names", robot.toe_names, link_of),
+        ):
+            for name in names:
+                check_choice(f"{argument} of robot {robot.name!r}", name, tuple(known))
         self._joints = [joint_of[name] for name in robot.joint_names]
         toes = [link_of[name] for name in robot.toe_names]
         self._foot_of_link = {link: foot for foot, link in enumerate(toes)}
@@ -223,6 +282,7 @@ class Simulation:
         self._last_targets = joint_angles
         for joint, angle in zip(self._joints, self._to_urdf(joint_angles)):
             self.client.resetJointState(self.body, joint, angle, 0.0)
+        self.begin_track()
 
     def _to_urdf(self, angles: np.ndarray) -> np.ndarray:
         return self._signs * angles + self._offsets
@@ -259,12 +319,19 @@ class Simulation:
         self._step_simulation()
 
     def step_and_track(self, steps: int) -> BaseTrack:
-        """Advance some physics steps and tell how the trunk moved."""
+        """Advance some physics steps and tell how the trunk moved since the last track."""
         readings: list[float] = []
         for _ in range(steps):
             self._step_simulation()
             readings += self._read_trunk()
-        return self._track(readings)
+        track = BaseTrack(self._last_row, self._trace(readings))
+        self._last_row = track.rows[-1]
+        return track
+
+    def begin_track(self) -> BaseTrack:
+        """Where the trunk is now, without motion; the next track continues from here."""
+        self._last_row = self._trace(self._read_trunk())[0]
+        return BaseTrack(self._last_row, np.empty((0, TRACK_WIDTH)))
 
     def _read_trunk(self) -> tuple[float, ...]:
         """Position, quaternion, linear and angular velocity of Bullet's inertial frame: thirteen numbers."""
@@ -272,9 +339,11 @@ class Simulation:
         linear, angular = self._base_velocity(self.body)
         return (*position, *quaternion, *linear, *angular)
 
-    def _track(self, readings: Sequence[float]) -> BaseTrack:
+    def _trace(self, readings: Sequence[float]) -> np.ndarray:
+        """(k, 18) rows of a track."""
         rows = np.array(readings).reshape(-1, READING_WIDTH)
-        return BaseTrack(trace_trunk(rows, self._inertial_to_canonical, self._origin_in_base))
+        traced: np.ndarray = trace_trunk(rows, self._inertial_to_canonical, self._origin_in_base)
+        return traced
 
     def push(self, velocity: np.ndarray) -> None:
         """Add a velocity (3,) m/s to the trunk at once, as a shove does."""
@@ -283,7 +352,12 @@ class Simulation:
 
     def base_state(self) -> BaseState:
         """Pose and velocity of the canonical base frame."""
-        return self._track(self._read_trunk()).state(0)
+        rows = self._trace(self._read_trunk())
+        return BaseTrack(rows[0], rows).last
+
+    def read_robot(self) -> RobotReading:
+        """Joints, contacts and feet now."""
+        return RobotReading(*self.joint_states(), self.foot_contacts(), self.foot_positions())
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stair_env.common.constants import GRAVITY_M_S2, STANDARD_GRAVITY_M_S2
 from stair_env.common.validation import SpecError, check_choice, check_range, from_fields
 from stair_env.physics.body_kernels import digitise
+
+if TYPE_CHECKING:
+    from stair_env.physics.simulation import BaseTrack
 
 IMU_PRESETS: tuple[str, ...] = ("d435i", "ideal")
 # Where the sensor sits in the frame of the colour camera, metres (extrinsics read from a device, realsense-ros issue
@@ -209,6 +212,55 @@ class Imu:
         bias = self._bias + np.cumsum(walk * self._walk_std, axis=0)
         self._bias = bias[-1]
         return bias + noise * self._noise_std
+
+
+class MountedImu:
+    """An inertial sensor fixed to the trunk, which samples at every physics step.
+
+    Args:
+        config: what is wrong with the sensor.
+        lever_arm: (3,) sensor in the base frame, metres.
+        sensor_to_base: (3, 3) rotation.
+        rate_hz: of the physics.
+        rng: draws biases and noise; two numbers are taken from it.
+    """
+
+    def __init__(
+        self,
+        config: ImuConfig,
+        lever_arm: np.ndarray,
+        sensor_to_base: np.ndarray,
+        rate_hz: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._lever_arm, self._sensor_to_base = lever_arm, sensor_to_base
+        self._imu = Imu(config, rng, 1.0 / rate_hz)
+        self._imu.reset(rng, 1.0 / rate_hz)  # a second draw, on which recorded rollouts depend
+
+    def read_at_rest(self, up: np.ndarray, samples: int) -> np.ndarray:
+        """Return samples of a trunk that stands.
+
+        Args:
+            up: (3,) unit vector against gravity, base frame.
+            samples: how many.
+
+        Returns:
+            As `read`.
+        """
+        felt = np.zeros((samples, 6))
+        felt[:, :3] = GRAVITY_M_S2 * (self._sensor_to_base.T @ up)
+        return self._imu.sample(felt)
+
+    def read(self, track: BaseTrack) -> np.ndarray:
+        """Return the samples of a control step.
+
+        Args:
+            track: of the trunk over the step.
+
+        Returns:
+            (k, 6) float64, oldest first: specific force, m/s², and angular velocity, rad/s, in the sensor's axes.
+        """
+        return self._imu.sample(track.felt_at(self._lever_arm, self._sensor_to_base))
 
 
 def specific_force(

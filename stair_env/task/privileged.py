@@ -6,15 +6,11 @@ real robot: hide it from the actor (docs/training.md shows how).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.observation import STAIR_FIELDS, STAIR_HIGH, STAIR_LOW, StairBlock, name_slices
-from stair_env.physics.simulation import BaseState, FootContacts
-from stair_env.stairs import StairProfile
-from stair_env.task.randomization import Body
+from stair_env.observation import STAIR_FIELDS, STAIR_HIGH, STAIR_LOW, name_slices
+from stair_env.task.step_state import StepState
 
 PRIVILEGED_FIELDS: dict[str, tuple[int, float]] = {  # name: (length, bound), after the true stair block's eight numbers
     "velocity": (3, 5.0),  # of the base, base frame, m/s
@@ -35,45 +31,24 @@ PRIVILEGED_SLICES = name_slices(
 )
 
 
-class Truth(NamedTuple):
-    """A moment of an episode as the simulator knows it.
-
-    Attributes:
-        stair: the true stair block.
-        profile: side view of the stairs.
-        state: of the base.
-        contacts: of the feet.
-        feet: (4, 3) foot centres, world, metres.
-        foot_radius: metres.
-        body: what was drawn for this episode.
-    """
-
-    stair: StairBlock
-    profile: StairProfile
-    state: BaseState
-    contacts: FootContacts
-    feet: np.ndarray
-    foot_radius: float
-    body: Body
-
-
 def privileged_space() -> spaces.Box:
     """Space of the privileged block: the true stair block, then PRIVILEGED_FIELDS in their order."""
     return spaces.Box(PRIVILEGED_LOW, PRIVILEGED_HIGH, dtype=np.float32)
 
 
-def pack_privileged(truth: Truth) -> np.ndarray:
-    """The privileged block, (34,) float32, clipped to its space's bounds."""
-    world_to_base, profile = truth.state.rotation.T, truth.profile
-    x, _, z = truth.state.position.tolist()
+def pack_privileged(state: StepState) -> np.ndarray:
+    """Return the privileged block after a control step, (34,) float32, clipped to its space's bounds."""
+    base, episode = state.after, state.episode
+    world_to_base = base.rotation.T
+    soles = state.feet[:, 2] - episode.robot.foot_radius
     fields = {
-        "velocity": world_to_base @ truth.state.velocity,
-        "angular_velocity": world_to_base @ truth.state.angular_velocity,
-        "base_height": [z - profile.level_under(x)],
-        "foot_clearance": truth.feet[:, 2] - truth.foot_radius - profile.height_at(truth.feet[:, 0]),
-        "foot_force": (truth.contacts.force @ truth.state.rotation).ravel(),
-        **{name: [value] for name, value in truth.body._asdict().items()},
+        "velocity": world_to_base @ base.velocity,
+        "angular_velocity": world_to_base @ base.angular_velocity,
+        "base_height": [float(base.position[2]) - state.ground_under_base],
+        "foot_clearance": soles - np.array(state.ground_under_feet),
+        "foot_force": (state.contacts.force @ base.rotation).ravel(),
+        **{name: [value] for name, value in episode.body._asdict().items()},
     }
-    packed = np.concatenate([truth.stair.as_array(), *(fields[name] for name in PRIVILEGED_FIELDS)], dtype=np.float32)
+    packed = np.concatenate([state.truth.as_array(), *(fields[name] for name in PRIVILEGED_FIELDS)], dtype=np.float32)
     clipped: np.ndarray = np.clip(packed, PRIVILEGED_LOW, PRIVILEGED_HIGH)
     return clipped

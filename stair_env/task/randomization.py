@@ -67,7 +67,7 @@ NOMINAL = Randomization((0.9, 0.9), (0.0, 0.0), (1.0, 1.0), 0.0, 0.0, 0.0, 0.0)
 
 
 def read_randomization(value: Any) -> Randomization:
-    """None or False: nominal body. True: the defaults. A mapping: the defaults with changes.
+    """None or False: nominal body. True: the defaults. A mapping: the defaults with changes. A Randomization: itself.
 
     Raises:
         SpecError: anything else, or a wrong field.
@@ -76,4 +76,6 @@ def read_randomization(value: Any) -> Randomization:
         return NOMINAL
     if value is True:
         return Randomization()
+    if isinstance(value, Randomization):
+        return value
     return from_mapping("randomization", Randomization, value)

@@ -1,27 +1,49 @@
-"""Reward terms: pure functions of a control step's outcome, added up by name."""
+"""Reward terms: functions of a control step, weighted and added up by name."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from stair_env.common.validation import SpecError, check_choice
-from stair_env.physics.simulation import BaseState, FootContacts
-from stair_env.stairs import StairProfile
+from stair_env.task.step_state import FAILURES, StepState
 
 WANTED_SPEED = 0.35  # m/s; going faster earns nothing
 NOSING_DANGER_M = 0.03
-RISER_HIT_MIN_N = 5.0  # a lighter touch is none
-RISER_HIT_RATIO = 4.0  # a foot that is pushed sideways this much harder than it is carried has hit a riser
+
+RewardFunction = Callable[[StepState], float]
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """A term of the reward.
+
+    Attributes:
+        fn: of a control step; importable, or of a kind that cloudpickle can send to worker processes.
+        weight: factor on what it returns.
+
+    Raises:
+        SpecError: fn cannot be called, or the weight is no finite number.
+    """
+
+    fn: RewardFunction
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not callable(self.fn):
+            raise SpecError(f"fn={self.fn!r} of a RewardTerm must be a function of a StepState")
+        if not is_number(self.weight):
+            raise SpecError(f"weight={self.weight!r} of a RewardTerm must be a finite number")
 
 
 @dataclass(frozen=True)
 class RewardWeights:
-    """Weight of each term; 0 switches it off."""
+    """Weight of each default term; with 0 it is zero."""
 
     progress: float = 1.0
     heading: float = 0.1
@@ -38,6 +60,116 @@ class RewardWeights:
 REWARD_TERMS = tuple(field.name for field in fields(RewardWeights))
 
 
+def progress(state: StepState) -> float:
+    """Speed along the walking direction as a share of the wanted speed, -1 to 1."""
+    speed = (state.after.position[0] - state.before.position[0]) / state.dt_s
+    return float(min(max(speed, -WANTED_SPEED), WANTED_SPEED)) / WANTED_SPEED
+
+
+def heading(state: StepState) -> float:
+    """Minus the squared heading, rad²."""
+    return -(state.after.yaw**2)
+
+
+def upright(state: StepState) -> float:
+    """Minus ten times the squared tilt, rad², measured from 0.8 of the slope under the feet."""
+    up = state.after.rotation[2].tolist()  # world z in the base frame
+    nose_up = math.atan2(up[0], math.hypot(up[1], up[2]))
+    roll = math.atan2(up[1], up[2])
+    tilt = (nose_up - 0.8 * state.slope_rad) ** 2 + roll**2
+    return -tilt * 10.0
+
+
+def action_rate(state: StepState) -> float:
+    """Minus the squared change of the action."""
+    change = state.action - state.previous_action
+    return -float(np.dot(change, change))
+
+
+def action_size(state: StepState) -> float:
+    """Minus the squared action."""
+    return -float(np.dot(state.action, state.action))
+
+
+def riser_hit(state: StepState) -> float:
+    """Minus the number of feet that run into something upright."""
+    return -float(state.riser_hits)
+
+
+def nosing(state: StepState) -> float:
+    """Minus the number of feet that stand so close to an edge that they may slip off."""
+    near = [distance < NOSING_DANGER_M for distance in state.edge_distances]
+    return -float(sum(touches and close for touches, close in zip(state.contacts.touching.tolist(), near)))
+
+
+def step_bonus(state: StepState) -> float:
+    """Number of edges that the robot got behind it for the first time."""
+    return float(state.new_steps)
+
+
+def success(state: StepState) -> float:
+    """1 when the robot has arrived."""
+    return float(state.termination == "success")
+
+
+def fall(state: StepState) -> float:
+    """-1 when the episode ended with a failure."""
+    return -float(state.termination in FAILURES)
+
+
+DEFAULT_REWARDS: dict[str, RewardFunction] = {
+    fn.__name__: fn
+    for fn in (progress, heading, upright, action_rate, action_size, riser_hit, nosing, step_bonus, success, fall)
+}
+
+
+class Rewards:
+    """The terms of an environment's reward.
+
+    Args:
+        terms: by name.
+    """
+
+    def __init__(self, terms: Mapping[str, RewardTerm]) -> None:
+        self.terms = dict(terms)
+        self._parts = [(name, term.weight, term.fn) for name, term in terms.items()]
+
+    def weighted(self, state: StepState) -> dict[str, float]:
+        """Return each term times its weight, by name; the reward is their sum."""
+        return {name: weight * fn(state) for name, weight, fn in self._parts}
+
+
+def read_rewards(
+    rewards: Mapping[str, Any] | None = None, reward_weights: Mapping[str, float] | None = None
+) -> Rewards:
+    """Build an environment's reward: the default terms with changes.
+
+    Args:
+        rewards: by name: a RewardTerm adds a term or replaces a default one, a number is the weight of a default term,
+            None switches a default term off. Each environment takes a copy.
+        reward_weights: weights of default terms.
+
+    Raises:
+        SpecError: a name or a value is wrong; the message names argument, value and choices.
+    """
+    weights = asdict(read_weights(reward_weights))
+    terms = {name: RewardTerm(fn, weights[name]) for name, fn in DEFAULT_REWARDS.items()}
+    if not isinstance(rewards, Mapping | None):
+        raise SpecError(f"rewards={rewards!r} must be a mapping of names to RewardTerms")
+    for name, value in (rewards or {}).items():
+        if isinstance(value, RewardTerm):
+            terms[name] = RewardTerm(_Checked(name, copy.deepcopy(value.fn)), value.weight)
+        elif value is None or is_number(value):
+            check_choice("rewards: default term", name, REWARD_TERMS)
+            if value is None:
+                del terms[name]
+            else:
+                terms[name] = RewardTerm(DEFAULT_REWARDS[name], float(value))
+        else:
+            raise SpecError(f"rewards[{name!r}]={value!r} must be a RewardTerm, a finite number (weight) or None (off)")
+    return Rewards(terms)
+
+
 def read_weights(changes: Mapping[str, float] | None) -> RewardWeights:
     """The default weights with changes.
 
@@ -51,78 +183,20 @@ def read_weights(changes: Mapping[str, float] | None) -> RewardWeights:
     return RewardWeights(**(changes or {}))
 
 
-class StepOutcome(NamedTuple):
-    """What the terms are computed from.
-
-    Attributes:
-        before, after: base state at the start and the end of the control step.
-        feet: (4, 3) world, metres, plain numbers.
-        contacts: at the end of the step.
-        riser_hits: feet that ran into something upright, see `riser_hits`.
-        action, last_action: (n,) in [-1, 1].
-        new_steps: edges that the robot got behind it for the first time (negative: fell back).
-        slope_rad: nose-up pitch that suits the ground under the feet.
-        success, fell: how the step ended.
-        dt: control step, seconds.
-    """
-
-    before: BaseState
-    after: BaseState
-    feet: list[list[float]]
-    contacts: FootContacts
-    riser_hits: int
-    action: np.ndarray
-    last_action: np.ndarray
-    new_steps: int
-    slope_rad: float
-    success: bool
-    fell: bool
-    dt: float
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number and no truth value."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def reward_terms(outcome: StepOutcome, profile: StairProfile, weights: RewardWeights) -> dict[str, float]:
-    """Weighted terms by name; the reward is their sum.
+@dataclass(frozen=True)
+class _Checked:
+    """A term of one's own, whose mistakes are reported by name."""
 
-    Args:
-        outcome: of one control step.
-        profile: side view of the stairs.
-        weights: of each term.
+    name: str
+    fn: RewardFunction
 
-    Returns:
-        One float per field of RewardWeights, penalties negative.
-    """
-    speed = (outcome.after.position[0] - outcome.before.position[0]) / outcome.dt
-    up = outcome.after.rotation[2].tolist()  # world z in the base frame
-    nose_up = math.atan2(up[0], math.hypot(up[1], up[2]))
-    roll = math.atan2(up[1], up[2])
-    change = outcome.action - outcome.last_action
-    tilt = (nose_up - 0.8 * outcome.slope_rad) ** 2 + roll**2
-    raw = {
-        "progress": float(min(max(speed, -WANTED_SPEED), WANTED_SPEED)) / WANTED_SPEED,
-        "heading": -(outcome.after.yaw**2),
-        "upright": -tilt * 10.0,
-        "action_rate": -float(np.dot(change, change)),
-        "action_size": -float(np.dot(outcome.action, outcome.action)),
-        "riser_hit": -float(outcome.riser_hits),
-        "nosing": -float(sum(feet_near_nosing(outcome.feet, outcome.contacts, profile))),
-        "step_bonus": float(outcome.new_steps),
-        "success": float(outcome.success),
-        "fall": -float(outcome.fell),
-    }
-    return {name: weight * raw[name] for name, weight in vars(weights).items()}
-
-
-def riser_hits(contacts: FootContacts) -> list[bool]:
-    """Which of the four feet run into something upright."""
-    return [
-        touches and math.hypot(x, y) > max(RISER_HIT_RATIO * abs(z), RISER_HIT_MIN_N)
-        for touches, (x, y, z) in zip(contacts.touching.tolist(), contacts.force.tolist())
-    ]
-
-
-def feet_near_nosing(feet: list[list[float]], contacts: FootContacts, profile: StairProfile) -> list[bool]:
-    """Which of the four feet stand so close to an edge that they may slip off."""
-    return [
-        touches and profile.distance_to_edge(x) < NOSING_DANGER_M
-        for touches, (x, _, _) in zip(contacts.touching.tolist(), feet)
-    ]
+    def __call__(self, state: StepState) -> float:
+        value = self.fn(state)
+        if not is_number(value):
+            raise SpecError(f"rewards[{self.name!r}] returned {value!r}, must be a finite number")
+        return float(value)

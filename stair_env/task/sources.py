@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -20,9 +21,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from stair_env.common.constants import BLOCK_SOURCES
-from stair_env.common.validation import check_choice
+from stair_env.common.validation import SpecError, check_choice, has_parts
 from stair_env.observation import NO_STAIRS, StairBlock
+from stair_env.physics.simulation import BaseState
+from stair_env.robots import RobotSpec
 from stair_env.stairs import StairProfile, StairSpec
+from stair_env.task.step_state import Episode
 
 VIEW_RANGE_M = 2.5  # beyond it a head-mounted D435i sees too little of a step to measure it
 
@@ -39,6 +43,35 @@ class HipPose(NamedTuple):
     x: float
     yaw: float
     time_s: float
+
+
+def observe_stairs(
+    source: StairSource, episode: Episode, base: BaseState, time_s: float
+) -> tuple[StairBlock, StairBlock]:
+    """Return the true stair block, and what the source makes of it.
+
+    Args:
+        source: fills the block.
+        episode: supplies stairs and robot.
+        base: state of the base.
+        time_s: of the episode.
+    """
+    pose = front_hips(base, episode.robot, time_s)
+    truth = true_block(episode.stairs, episode.profile, pose)
+    return truth, source.read(pose, truth)
+
+
+def front_hips(base: BaseState, robot: RobotSpec, time_s: float) -> HipPose:
+    """Return where the front hips are.
+
+    Args:
+        base: state of the base.
+        robot: supplies the hips.
+        time_s: of the episode.
+    """
+    yaw = base.yaw
+    reach = robot.hip_x[0] * math.hypot(base.rotation[0, 0], base.rotation[1, 0])
+    return HipPose(float(base.position[0]) + reach * math.cos(yaw), yaw, time_s)
 
 
 def true_block(spec: StairSpec, profile: StairProfile, pose: HipPose) -> StairBlock:
@@ -76,10 +109,20 @@ class StairSource(Protocol):
     """Turns the truth into what the robot is told."""
 
     def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
-        """Begin an episode on a staircase."""
+        """Begin an episode.
+
+        Args:
+            spec: the staircase.
+            rng: of this episode, for every random draw.
+        """
 
     def read(self, pose: HipPose, truth: StairBlock) -> StairBlock:
-        """Block for this control step, at a pose where the truth is this."""
+        """Return the block for this control step.
+
+        Args:
+            pose: of the front hips.
+            truth: the true block there.
+        """
 
 
 class OracleSource:
@@ -237,15 +280,24 @@ _SOURCE_CLASSES: dict[str, type] = {
 }
 
 
-def make_source(name: str) -> StairSource:
-    """Build a source by name.
+def make_source(source: str | StairSource) -> StairSource:
+    """Build a source.
+
+    Args:
+        source: a name in BLOCK_SOURCES, or an object with `reset` and `read`, of which a copy is made: environments of
+            one process never share it.
 
     Raises:
-        SpecError: the name is unknown; the message lists the choices.
+        SpecError: it is neither; the message names the choices.
     """
-    check_choice("stair_source", name, BLOCK_SOURCES)
-    source: StairSource = _SOURCE_CLASSES[name]()
-    return source
+    if isinstance(source, str):
+        check_choice("stair_source", source, BLOCK_SOURCES)
+        named: StairSource = _SOURCE_CLASSES[source]()
+        return named
+    if not has_parts(source, ("reset", "read")):
+        choices = ", ".join(map(repr, BLOCK_SOURCES))
+        raise SpecError(f"stair_source={source!r} must be one of {choices}, or an object with reset and read")
+    return copy.deepcopy(source)
 
 
 def _wrap(angle: float) -> float:

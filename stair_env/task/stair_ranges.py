@@ -1,13 +1,16 @@
-"""From what staircases an episode draws its own."""
+"""From what staircases an episode draws its own: ranges, or a sampler of one's own."""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from stair_env.common.constants import EPISODE_DIRECTIONS, RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M
-from stair_env.common.validation import SpecError, as_range, check_choice, check_range
+from stair_env.common.validation import SpecError, as_range, check_choice, check_range, has_parts
+from stair_env.sampling import SceneSpec
 from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import Curriculum
 
@@ -63,3 +66,44 @@ class StairRanges:
             riser_offsets=tuple(offsets[0]) if self.uneven else (),
             tread_offsets=tuple(offsets[1]) if self.uneven else (),
         )
+
+
+class StairSampler(Protocol):
+    """Draws the staircase, or the whole scene, of each episode."""
+
+    def sample(self, rng: np.random.Generator) -> StairSpec | SceneSpec:
+        """Return a staircase, or a scene with stairs, all of whose solids the robot can bump into.
+
+        Args:
+            rng: the environment's; every random draw comes from it.
+        """
+
+
+def read_sampler(sampler: Any, curriculum: Curriculum | None) -> StairSampler | None:
+    """Check a sampler and copy it; None stands for the environment's ranges.
+
+    Raises:
+        SpecError: it has no `sample`, or there is a curriculum, which raises the risers of the ranges only.
+    """
+    if sampler is None:
+        return None
+    if not has_parts(sampler, ("sample",)):
+        raise SpecError(f"sampler={sampler!r} must be None or an object with sample(rng), for example a SceneSampler")
+    if curriculum is not None:
+        raise SpecError(f"sampler={sampler!r} leaves a curriculum nothing to draw: use one of them")
+    copied: StairSampler = copy.deepcopy(sampler)
+    return copied
+
+
+def draw_sampled(sampler: StairSampler, rng: np.random.Generator) -> tuple[StairSpec, SceneSpec | None]:
+    """Return a sampler's staircase and, if it drew one, the scene around it.
+
+    Raises:
+        SpecError: what it drew is neither a StairSpec nor a SceneSpec with stairs.
+    """
+    drawn = sampler.sample(rng)
+    if isinstance(drawn, StairSpec):
+        return drawn, None
+    if isinstance(drawn, SceneSpec) and drawn.stairs is not None:
+        return drawn.stairs, drawn
+    raise SpecError(f"sampler={sampler!r} drew {drawn!r}, must draw a StairSpec or a SceneSpec with stairs")

@@ -17,6 +17,7 @@ from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from typing import Any, NoReturn
 
+import cloudpickle
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import CloudpickleWrapper
@@ -240,7 +241,7 @@ class WorkerPool:
         self._number += 1
         for worker in asked:
             if worker < len(self._processes):
-                self._send(worker, pickle.dumps((self._number, command, arguments(own[worker]))))
+                self._send(worker, cloudpickle.dumps((self._number, command, arguments(own[worker]))))
             else:
                 self._own_request = (command, arguments(own[worker]))
         order = [i for worker in asked for i in own[worker]]

@@ -252,8 +252,19 @@ def _answer(connection: Connection, worker: Worker, request: Request) -> None:
     number, command, arguments = request
     result = worker.attempt(command, arguments)
     try:
-        message = pickle.dumps((number, result), pickle.HIGHEST_PROTOCOL)  # `send` is slow at small things
+        message = _pickle((number, result))  # `send` is slow at small things
     except Exception:
         message = pickle.dumps((number, Failure(worker.current, False, traceback.format_exc())))
     with contextlib.suppress(BrokenPipeError):
         connection.send_bytes(message)
+
+
+def _pickle(answer: tuple[int, Any]) -> bytes:
+    """Pickle, where need be with cloudpickle, which is slower but also takes functions and classes of a script."""
+    try:
+        return pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
+    except Exception:
+        import cloudpickle
+
+        message: bytes = cloudpickle.dumps(answer)
+        return message

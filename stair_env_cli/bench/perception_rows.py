@@ -216,8 +216,9 @@ def _walked(backend: str, camera: dict[str, str]) -> Any:
 def _camera_pose(env: Any) -> np.ndarray:
     """(4, 4) camera_to_world of an RGBD environment."""
     from stair_env.physics.simulation import base_to_world
+    from stair_env.robots import mount_to_base
 
-    pose: np.ndarray = base_to_world(env._state) @ env._camera_to_base
+    pose: np.ndarray = base_to_world(env.state.after) @ mount_to_base(env.robot.camera)
     return pose
 
 

@@ -106,7 +106,7 @@ def test_the_gait_reads_the_block_it_is_given_and_nothing_else():
         for _ in range(30):
             env.provide_stair(block)
             env.step(np.zeros(16))
-        heights = env._gait.foothold_heights
+        heights = env.gait.foothold_heights
         env.close()
         return heights
 

@@ -6,7 +6,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from stair_env.physics.simulation import base_to_world
 from stair_env.rgbd import StairClimbRgbdEnv
-from stair_env.robots import ROBOTS
+from stair_env.robots import ROBOTS, mount_to_base
 
 RGBD = "stair_env/StairClimbRGBD-v0"
 SMALL = {"width": 160}
@@ -40,7 +40,7 @@ def test_depth_is_the_distance_to_the_stairs():
     """The middle column of ideal depth, taken back into the world, lies on the treads and risers of the spec."""
     env = StairClimbRgbdEnv(camera={**SMALL, "depth_error": "ideal"}, riser_height=0.15, tread_depth=0.3)
     observation, _ = env.reset(seed=2)
-    pose = base_to_world(env._state) @ env._camera_to_base
+    pose = base_to_world(env.state.after) @ mount_to_base(env.robot.camera)
     intrinsics, depth = env.camera_intrinsics, observation["depth"]
     column = intrinsics.width // 2
     rows = np.flatnonzero((depth[:, column] > 0) & (depth[:, column] < 1.5))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stair_env.common.pickling import PicklesByArguments
-from stair_env.onboard.attitude import AttitudeFilter
+from stair_env.onboard.proprioception import AttitudeFilter
 
 CAMERA = {"camera": {"width": 160}}
 

@@ -48,7 +48,7 @@ def test_it_is_the_truth():
     speed = np.linalg.norm(info["truth"]["velocity"])
     assert np.linalg.norm(field(observation, "velocity")) == pytest.approx(speed, rel=1e-5)
     body = [float(field(observation, name)[0]) for name in ("friction", "payload_kg", "motor_strength")]
-    assert body == pytest.approx(env._body, abs=1e-6)
+    assert body == pytest.approx(env.state.episode.body, abs=1e-6)
     draws = env.randomization
     assert all(low <= value <= high for value, (low, high) in zip(body, (draws.friction, draws.payload_kg, (0.9, 1.1))))
     env.close()

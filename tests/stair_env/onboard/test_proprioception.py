@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from stair_env.env import StairClimbEnv
-from stair_env.onboard.attitude import AttitudeFilter, base_to_level
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.onboard.leg_odometry import MAX_CORRECTION_M_S, LegOdometry
+from stair_env.onboard.proprioception import MAX_CORRECTION_M_S, AttitudeFilter, LegOdometry, base_to_level
 from stair_env.robots import get_robot
 
 REST = np.array([0.0, 0.0, 9.80665])  # what an accelerometer reads that nothing moves
@@ -66,7 +65,8 @@ def test_attitude_and_odometry_hold_on_a_walking_robot():
         observation, _, done, _, info = env.step(np.zeros(16))
         velocity = observation["proprio"][6:9]
         travelled += float(velocity[0]) * np.cos(info["truth"]["yaw"]) / 48
-        tilt_errors.append(np.degrees(np.arccos(np.clip(env._state.rotation[2] @ env._attitude.up, -1, 1))))
+        cosine = env.state.after.rotation[2] @ -observation["proprio"][:3]
+        tilt_errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
         if done:
             break
     distance = info["truth"]["position"][0] - start
