@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from stair_env.scene.objects.palette import CLOTH, FOLIAGE, PANELLING, RUBBER, SKIN, VIVID
-from stair_env.scene.objects.parts import Builder, Extent, Part, bar, box, upright
+from stair_env.scene.objects.solid_parts import Builder, Extent, Part, bar, box, upright
 
 
 def _person(spec: Extent, rng: np.random.Generator) -> list[Part]:

@@ -14,7 +14,7 @@ import numpy as np
 from stair_env.common.validation import SpecError, check_choice, check_range
 from stair_env.scene.objects.clutter import CLUTTER
 from stair_env.scene.objects.look_alikes import LOOK_ALIKES
-from stair_env.scene.objects.parts import PAINT_THICKNESS_M, Builder, Extent, Part, box
+from stair_env.scene.objects.solid_parts import PAINT_THICKNESS_M, Builder, Extent, Part, box
 from stair_env.scene.shapes import IDENTITY, Quaternion, Shape, Vector3
 
 MAX_PARTS = 20  # bars, slats, stripes: a renderer pays for each

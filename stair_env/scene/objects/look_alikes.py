@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from stair_env.scene.objects.palette import GRATING, PANELLING, SIDING, STONE, TILES, VIVID
-from stair_env.scene.objects.parts import PAINT_THICKNESS_M, Builder, Extent, Part, bar, box
+from stair_env.scene.objects.solid_parts import PAINT_THICKNESS_M, Builder, Extent, Part, bar, box
 
 
 def _shutter(spec: Extent, rng: np.random.Generator) -> list[Part]:
