@@ -8,16 +8,17 @@ h up). Two methods give the same result type: "planes", the default, which fits 
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from perception.drops import locate_drops
-from perception.estimate import Nosing, StepMeasurement
 from perception.faces import Faces, LineViews, fit_faces, sample_strips
 from perception.line_check import CheckedLines, check_lines
 from perception.lines import median
+from perception.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
+from perception.reconcile import is_sound, reconcile
 from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
@@ -34,19 +35,6 @@ MAX_DISAGREEMENT_PX = 2.5  # of the two; where they are farther apart depth alon
 UNCONFIRMED_FACTOR = 8.0  # on the jitter of a line near which depth shows no jump: it may be 4 px off
 STRIP_IMAGE_WIDTH_PX = 640.0
 MAX_YAW_RAD = math.radians(70.0)
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """What one frame says about the staircase (see `perception.estimate.StairEstimate` for the fields)."""
-
-    direction: int = 0
-    nosings: tuple[Nosing, ...] = ()
-    steps: tuple[StepMeasurement, ...] = ()
-    yaw_rad: float = 0.0
-    yaw_std_rad: float = 0.0
-    kinds: tuple[str, ...] = ()
-    reason: str = ""
 
 
 def attitude_angles(gravity: np.ndarray) -> tuple[float, float]:
@@ -144,42 +132,51 @@ def measure_stairs(
     if len(used) == 0:
         return Geometry(kinds=unknown, reason="no stair lines")
     used = used[np.argsort(-_height_at_middle(lines[used]))]
-    chosen = lines[used]
+    frame = Frame(lines, used, depth_m, intrinsics, omega_m)
     level = camera_to_level(gravity)
-    normals = line_normals(chosen, intrinsics)
-    lengths = chosen[:, 2] - chosen[:, 0]
-    yaw = yaw_from_lines(normals @ level.T, lengths)
+    yaw = yaw_from_lines(line_normals(frame.chosen, intrinsics) @ level.T, _lengths(frame.chosen))
     if abs(yaw) > MAX_YAW_RAD:
         return Geometry(kinds=unknown, reason="the lines run away from the camera")
     guess = level_to_stair(yaw) @ level
-    checked = check_lines(chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
+    up = -level[1]
+    read = functools.partial(_read_faces, gravity_std_rad=gravity_std_rad)
+    reading = read(frame, guess)
+    if is_sound(reading):
+        return with_gravity(reading, up)
+    views = _line_views(frame.chosen, intrinsics, _jitter_px(frame.chosen, intrinsics), _lengths(frame.chosen))
+    return reconcile(frame, reading, views, guess, up, read)
+
+
+def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Reading:
+    """The steps from faces that are read one by one, between lines that depth confirms."""
+    depth_m, intrinsics, omega_m = frame.depth_m, frame.intrinsics, frame.omega_m
+    checked = check_lines(frame.chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
     chosen = checked.lines
     if len(chosen) == 0:
-        return Geometry(kinds=unknown, reason="depth shows no edge where the lines are")
+        return Reading(frame.nothing("depth shows no edge where the lines are"), guess)
     views, faces = _fit(checked, depth_m, intrinsics, guess, gravity_std_rad)
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
-        return Geometry(kinds=unknown, reason="no height differences between the lines")
+        return Reading(frame.nothing("no height differences between the lines"), guess)
     if checked.confirmed.sum() < MIN_CONFIRMED[direction]:
-        return Geometry(kinds=unknown, reason="depth confirms too few of the lines")
+        return Reading(frame.nothing("depth confirms too few of the lines"), guess)
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
     nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
-    kinds = list(unknown)
-    for index, kind in edge_kinds.items():
-        if checked.source[index] >= 0:
-            kinds[used[checked.source[index]]] = kind
-    return Geometry(
+    edges = {int(checked.source[index]): kind for index, kind in edge_kinds.items() if checked.source[index] >= 0}
+    geometry = Geometry(
         direction,
         nosings,
         steps_of(nosings),
-        _camera_yaw(faces.camera_to_stair),
+        camera_yaw(faces.camera_to_stair),
         math.sqrt(float(faces.angle_cov[2, 2])),
-        tuple(kinds),
+        frame.kinds(edges),
         "" if any(nosing.riser_m for nosing in nosings) else "no complete riser in view",
     )
+    misfit = section_misfit(section, slopes[0], checked.profile, faces.camera_to_stair @ guess.T)
+    return Reading(geometry, faces.camera_to_stair, misfit)
 
 
 def _fit(
@@ -188,10 +185,20 @@ def _fit(
     """Faces between lines."""
     lines = checked.lines
     pixel = max(intrinsics.width, intrinsics.height) / 512.0
-    measured_px = np.hypot(LINE_JITTER_PX, PIECE_JITTER_PX / np.maximum(lines[:, 7], 1.0))
-    jitter_px = np.where(checked.source >= 0, measured_px, MISSING_LINE_JITTER_PX) * pixel
+    jitter_px = np.where(checked.source >= 0, _jitter_px(lines, intrinsics), MISSING_LINE_JITTER_PX * pixel)
     views = _line_views(lines, intrinsics, jitter_px, checked.own_length)
     return views, fit_faces(sample_strips(lines, depth_m, intrinsics), guess, views, gravity_std_rad)
+
+
+def _jitter_px(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(m,) standard deviation of the place of detected lines (m, 8), pixels."""
+    pixel = max(intrinsics.width, intrinsics.height) / 512.0
+    return np.asarray(np.hypot(LINE_JITTER_PX, PIECE_JITTER_PX / np.maximum(lines[:, 7], 1.0)) * pixel)
+
+
+def _lengths(lines: np.ndarray) -> np.ndarray:
+    """(m,) of the lines (m, 8) along x, pixels."""
+    return np.asarray(lines[:, 2] - lines[:, 0])
 
 
 def _thickness(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -245,9 +252,3 @@ def _height_at_middle(lines: np.ndarray) -> np.ndarray:
     """(m,) image y of every line at one common column, where most of them are."""
     x = median((lines[:, 0] + lines[:, 2]) / 2.0)
     return lines[:, 4] * x + lines[:, 5]
-
-
-def _camera_yaw(camera_to_stair: np.ndarray) -> float:
-    """Heading of the optical axis relative to the walking direction, positive to the right."""
-    f, left, _ = camera_to_stair[:, 2]
-    return math.atan2(-float(left), float(f))

@@ -50,22 +50,33 @@ class ProfileEdge:
 
 
 @dataclass(frozen=True)
-class Profile:
-    """The cross-section, nearest row first.
+class Scan:
+    """The cross-section as it is seen, nearest row first.
 
     Attributes:
         slope: (J,) height per forward metre of each row.
         forward_m, height_m: (J,) what is seen there; 0 where nothing is.
+        depth_m: (J,) depth that goes with it.
         readings: (J,) how many readings a row rests on.
-        face: (J,) index of the face of each row, -1 for none.
-        kind, value: (K,) TREAD or RISER of each face; its height or forward distance, metres.
-        edges: nearest first.
     """
 
     slope: np.ndarray
     forward_m: np.ndarray
     height_m: np.ndarray
+    depth_m: np.ndarray
     readings: np.ndarray
+
+
+@dataclass(frozen=True)
+class Profile(Scan):
+    """The cross-section, cut into faces.
+
+    Attributes:
+        face: (J,) index of the face of each row, -1 for none.
+        kind, value: (K,) TREAD or RISER of each face; its height or forward distance, metres.
+        edges: nearest first.
+    """
+
     face: np.ndarray
     kind: np.ndarray
     value: np.ndarray
@@ -90,12 +101,33 @@ def read_profile(
         lateral_m: least and greatest l of the staircase, metres.
         omega_m: faces of one kind nearer than this are one.
     """
+    scan = scan_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral_m)
+    first, kind = _segment(scan)
+    face, kinds, values, spans = _faces(first, kind, scan, omega_m)
+    edges = _edges(kinds, values, spans, scan.slope)
+    return Profile(
+        scan.slope,
+        scan.forward_m,
+        scan.height_m,
+        scan.depth_m,
+        scan.readings,
+        face,
+        np.array(kinds, dtype=int),
+        np.array(values),
+        edges,
+    )
+
+
+def scan_profile(
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    camera_to_stair: np.ndarray,
+    middle_x: float,
+    lateral_m: tuple[float, float],
+) -> Scan:
+    """The cross-section as it is seen; arguments as in `read_profile`."""
     slope = _row_slopes(intrinsics, camera_to_stair, middle_x)
-    forward, height, distance, readings = _scan(depth_m, intrinsics, camera_to_stair, slope, lateral_m)
-    first, kind = _segment(slope, forward, height, distance, readings)
-    face, kinds, values, spans = _faces(first, kind, slope, forward, height, readings, omega_m)
-    edges = _edges(kinds, values, spans, slope, omega_m)
-    return Profile(slope, forward, height, readings, face, np.array(kinds, dtype=int), np.array(values), edges)
+    return _scan(depth_m, intrinsics, camera_to_stair, slope, lateral_m)
 
 
 def _row_slopes(intrinsics: Intrinsics, rotation: np.ndarray, middle_x: float) -> np.ndarray:
@@ -113,8 +145,7 @@ def _scan(
     rotation: np.ndarray,
     slope: np.ndarray,
     lateral_m: tuple[float, float],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(J,) each: forward, height, depth, readings."""
+) -> Scan:
     from perception import profile_kernels
 
     kernels: Any = profile_kernels
@@ -138,16 +169,17 @@ def _scan(
         distance,
         readings,
     )
-    return forward, height, distance, readings
+    return Scan(slope, forward, height, distance, readings)
 
 
-def _segment(
-    slope: np.ndarray, forward: np.ndarray, height: np.ndarray, distance: np.ndarray, readings: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _segment(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """First row and kind of each part of the cross-section."""
     from perception import profile_kernels
 
     kernels: Any = profile_kernels
+    slope, forward, height, distance, readings = (
+        scan.slope, scan.forward_m, scan.height_m, scan.depth_m, scan.readings,
+    )  # fmt: skip
     noise = DEPTH_SIGMA_PER_M2 * distance**2 / np.sqrt(np.maximum(readings / COLUMNS_PER_READING, 1.0))
     per_depth = forward / np.maximum(distance, 1e-6)
     forward_std = np.hypot(noise * per_depth, PLACE_STD_M)
@@ -162,23 +194,20 @@ def _segment(
 def _faces(
     first: np.ndarray,
     kind: np.ndarray,
-    slope: np.ndarray,
-    forward: np.ndarray,
-    height: np.ndarray,
-    readings: np.ndarray,
+    scan: Scan,
     omega_m: float,
 ) -> tuple[np.ndarray, list[int], list[float], list[tuple[int, int]]]:
     """Faces of enough rows, joined where of one kind and place: face of each row, kinds, values, row spans."""
-    face = np.full(len(slope), -1)
+    face = np.full(len(scan.slope), -1)
     kinds: list[int] = []
     values: list[float] = []
     spans: list[tuple[int, int]] = []
-    ends = np.append(first[1:], len(slope)).tolist()
+    ends = np.append(first[1:], len(scan.slope)).tolist()
     for begin, end, what in zip(first.tolist(), ends, kind.tolist()):
-        rows = begin + np.nonzero(readings[begin:end])[0]
+        rows = begin + np.nonzero(scan.readings[begin:end])[0]
         if what == UNKNOWN or len(rows) < MIN_FACE_ROWS:
             continue
-        value = median((height if what == TREAD else forward)[rows])
+        value = median((scan.height_m if what == TREAD else scan.forward_m)[rows])
         if kinds and kinds[-1] == what and abs(values[-1] - value) < omega_m:
             spans[-1] = (spans[-1][0], int(rows[-1]))
         else:
@@ -190,7 +219,7 @@ def _faces(
 
 
 def _edges(
-    kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray, omega_m: float
+    kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray
 ) -> tuple[ProfileEdge, ...]:
     """Edges between neighbouring faces that adjoin."""
     edges = []
