@@ -18,7 +18,7 @@ from perception.faces import Faces, LineViews, fit_faces, sample_strips
 from perception.line_check import CheckedLines, check_lines
 from perception.lines import median
 from perception.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
-from perception.reconcile import is_sound, reconcile
+from perception.reconcile import is_sound, reconcile, without_gravity
 from perception.section import DOWN, Section, build_section, find_drops, read_nosings, steps_of, walking_direction
 from stair_env.camera.intrinsics import Intrinsics
 
@@ -34,6 +34,7 @@ MISSING_LINE_JITTER_PX = 3.0  # of a line that only depth has placed, and so say
 MAX_DISAGREEMENT_PX = 2.5  # of the two; where they are farther apart depth alone counts
 UNCONFIRMED_FACTOR = 8.0  # on the jitter of a line near which depth shows no jump: it may be 4 px off
 STRIP_IMAGE_WIDTH_PX = 640.0
+UNKNOWN_PITCHES_RAD = tuple(math.radians(degrees) for degrees in (-5.0, -25.0, -45.0, -65.0))  # head up positive
 MAX_YAW_RAD = math.radians(70.0)
 
 
@@ -109,7 +110,7 @@ def measure_stairs(
     lines: np.ndarray,
     depth_m: np.ndarray,
     intrinsics: Intrinsics,
-    gravity: np.ndarray,
+    gravity: np.ndarray | None,
     *,
     omega_m: float = OMEGA_M,
     gravity_std_rad: float = GRAVITY_STD_RAD,
@@ -120,7 +121,7 @@ def measure_stairs(
         lines: (m, 8) rows of `perception.lines.LINE_FIELDS`, pixels of the depth image, any order.
         depth_m: (H, W) float, metres, 0 = no reading.
         intrinsics: of the depth image.
-        gravity: (3,) accelerometer reading at rest, camera frame.
+        gravity: (3,) accelerometer reading at rest, camera frame; None when unknown: it is found from depth.
         omega_m: smallest width and height that counts, metres.
         gravity_std_rad: standard deviation of the gravity direction.
 
@@ -133,18 +134,31 @@ def measure_stairs(
         return Geometry(kinds=unknown, reason="no stair lines")
     used = used[np.argsort(-_height_at_middle(lines[used]))]
     frame = Frame(lines, used, depth_m, intrinsics, omega_m)
+    read = functools.partial(_read_faces, gravity_std_rad=gravity_std_rad)
+    views = _line_views(frame.chosen, intrinsics, _jitter_px(frame.chosen, intrinsics), _lengths(frame.chosen))
+    if gravity is None:
+        return without_gravity(frame, views, _guesses(frame), read)
     level = camera_to_level(gravity)
     yaw = yaw_from_lines(line_normals(frame.chosen, intrinsics) @ level.T, _lengths(frame.chosen))
     if abs(yaw) > MAX_YAW_RAD:
         return Geometry(kinds=unknown, reason="the lines run away from the camera")
     guess = level_to_stair(yaw) @ level
     up = -level[1]
-    read = functools.partial(_read_faces, gravity_std_rad=gravity_std_rad)
     reading = read(frame, guess)
     if is_sound(reading):
         return with_gravity(reading, up)
-    views = _line_views(frame.chosen, intrinsics, _jitter_px(frame.chosen, intrinsics), _lengths(frame.chosen))
     return reconcile(frame, reading, views, guess, up, read)
+
+
+def _guesses(frame: Frame) -> list[np.ndarray]:
+    """(3, 3) rotations into (f, l, h) for several pitches of a camera that is held upright."""
+    guesses = []
+    for pitch in UNKNOWN_PITCHES_RAD:
+        level = camera_to_level(np.array([0.0, -math.cos(pitch), math.sin(pitch)]))
+        yaw = yaw_from_lines(line_normals(frame.chosen, frame.intrinsics) @ level.T, _lengths(frame.chosen))
+        if abs(yaw) <= MAX_YAW_RAD:
+            guesses.append(level_to_stair(yaw) @ level)
+    return guesses
 
 
 def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Reading:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from perception.faces import LINE_GATE_RAD, ROW_SAMPLES, LineViews, Strips, explain_strips, side_equations
 from perception.face_kinds import RISER
+from perception.faces import LINE_GATE_RAD, ROW_SAMPLES, LineViews, Strips, explain_strips, side_equations
 
 ROUNDS = 4
 FIRST_GATE_RAD = 0.15  # six degrees of roll turn the lines' directions apart by as much
@@ -55,7 +55,9 @@ def level_sideways(
     for turn in range(ROUNDS):
         tread, riser = explain_strips(strips, rotation, ROW_SAMPLES)
         value = np.where(kind == RISER, riser.value, tread.value)
-        normal, gradient = side_equations(strips, kind, value, rotation, views, LINE_GATE_RAD if turn else FIRST_GATE_RAD)
+        normal, gradient = side_equations(
+            strips, kind, value, rotation, views, LINE_GATE_RAD if turn else FIRST_GATE_RAD
+        )
         prior = 2.0 / (roll_std_rad**2 + rolled**2)
         normal[0, 0] += prior
         gradient[0] += prior * rolled

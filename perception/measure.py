@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -20,12 +21,14 @@ from perception.backends import BACKENDS
 from perception.estimate import StairEstimate
 from perception.estimator import StairEstimator
 from perception.ideal import IdealDetector
+from perception.synthetic import match_depth
 from stair_env.camera.colour_error import ColourErrorModel
 from stair_env.camera.depth_error import DepthErrorConfig, DepthErrorModel
 from stair_env.camera.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.camera.labels import LineLabel, visible_edges
 from stair_env.camera.renderers.base import Frame
 from stair_env.camera.renderers.factory import make_renderer
+from stair_env.camera.stereo import StereoConfig
 from stair_env.imu import Imu, ImuConfig
 from stair_env.paper_stairs import PAPER_STAIRS, PaperStair
 from stair_env.sampling import SceneSampler
@@ -34,6 +37,7 @@ from stair_env.stairs import StairProfile, StairSpec, WalkingDirection, check_ch
 from stair_env.viewpoints import look_along
 
 NETWORKS = ("stairnet", "ideal")
+DEPTHS = ("model", "stereo")
 DIRECTION_WORDS: dict[WalkingDirection, str] = {"up": "ascending", "down": "descending"}
 MEASURED_STEPS = 3  # the paper evaluates the three steps nearest to the camera
 DISTANCE_M = (0.6, 1.8)  # from the first line, horizontally
@@ -70,6 +74,7 @@ class MeasureConfig:
         mode: D435i colour mode.
         stairs: which of the paper's staircases.
         backend: of the network, one of `perception.backends.BACKENDS`.
+        depth: "model", a D435i's errors put on exact depth, or "stereo", a matched infrared pair.
 
     Raises:
         SpecError: a field is out of range (a ValueError).
@@ -81,8 +86,10 @@ class MeasureConfig:
     mode: str = "640x480"
     stairs: tuple[PaperStair, ...] = PAPER_STAIRS
     backend: str = "onnx"
+    depth: str = "model"
 
     def __post_init__(self) -> None:
+        check_choice("depth", self.depth, DEPTHS)
         check_choice("network", self.network, NETWORKS)
         check_choice("backend", self.backend, BACKENDS)
         check_choice("mode", self.mode, tuple(D435I_COLOR_MODES))
@@ -184,8 +191,10 @@ def _steps_in_view(profile: StairProfile, ascending: bool, pose: np.ndarray, int
     return bool(inside.all())  # NaN, behind the camera, compares false
 
 
-def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics) -> Shot:
-    """One frame of a scene from a random pose, with the errors of one random D435i.
+def photograph(
+    spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics, stereo: StereoConfig | None = None
+) -> Shot:
+    """One frame of a scene from a random pose, with the errors of one random D435i; with `stereo`, of such a camera.
 
     Raises:
         ValueError: no pose is found from which every line of the measured steps is seen.
@@ -195,6 +204,9 @@ def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsi
     depth_model.reset(rng)
     colour_model.reset(rng)
     depth = depth_model.apply(frame.depth_m, frame.rgb, intrinsics, rng)
+    if stereo is not None:
+        with closing(make_renderer("raycast", scene)) as renderer:
+            depth = match_depth(renderer, pose, intrinsics, rng, stereo) * np.float32(1.0 + depth_model.scale_bias)
     other_scale = (1.0 + rng.uniform(-1.0, 1.0) * SCALE_BIAS_UNCALIBRATED) / (1.0 + depth_model.scale_bias)
     still = np.tile(GRAVITY_M_S2 * pose[2, :3], (IMU_SAMPLES, 1))
     force, _ = Imu(ImuConfig(), rng).read_many(still, np.zeros_like(still))
@@ -308,6 +320,7 @@ def run_measurement(config: MeasureConfig, seed: int, on_frame: SupportsProgress
         `rmse_mm_by` for each method and lighting, with `coverage`, the share of steps in view that were measured.
     """
     rng = np.random.default_rng(seed)
+    stereo = StereoConfig() if config.depth == "stereo" else None
     bench = _Bench(config, np.random.default_rng(rng.integers(2**63)))
     intrinsics = D435I_COLOR_MODES[config.mode]
     lightings: tuple[Literal["day", "night"], ...] = ("day", "night")
@@ -317,7 +330,7 @@ def run_measurement(config: MeasureConfig, seed: int, on_frame: SupportsProgress
             for lighting in lightings:
                 for _ in range(config.poses):
                     scene = Scene(dress(spec, lighting, rng))
-                    bench.take(photograph(spec, scene, rng, intrinsics), stair, spec, lighting)
+                    bench.take(photograph(spec, scene, rng, intrinsics, stereo), stair, spec, lighting)
                     if on_frame is not None:
                         on_frame()
     return _summary(config, bench)
@@ -339,6 +352,7 @@ def _summary(config: MeasureConfig, bench: _Bench) -> dict[str, Any]:
         by[name][word] = {"rmse_mm": errors.rmse_mm(), "coverage": errors.coverage()}
     return {
         "network": config.network,
+        "depth": config.depth,
         "width": config.width,
         "backend": config.backend,
         "poses": config.poses,

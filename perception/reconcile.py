@@ -18,10 +18,12 @@ from perception.rounded_geometry import RoundedStairs, measure_rounded
 from perception.section import steps_of
 
 MAX_CORRECTION_RAD = math.radians(6.0)  # of gravity; beyond, one of the two is broken
+MAX_TOLD_STD_RAD = math.radians(1.2)  # of the pitch that depth alone must tell
+NO_GRAVITY_STD_RAD = math.radians(15.0)
 GRAVITY_DOUBT_STD_RAD = math.radians(0.5)  # as on a walking robot, with long tails
-SHARP_CREASE_PX = 3.0  # up to here faces are straight between the lines
-MAX_MISFIT = 0.0022  # 1/m; faces read from sharp depth under the right gravity predict what is seen to 0.0018 in 95 of 100 frames
-ENOUGH_STEPS = 1
+MAX_MISFIT = 0.0022  # 1/m; faces of sharp depth under the right gravity stay below 0.0018 in 95 of 100 frames
+SHARP_CREASE_PX, SHARP_NOISE = 3.0, 0.0025  # px, 1/m; up to here faces are straight between the lines
+ENOUGH_STEPS = 3  # the paper evaluates as many; with fewer it is asked whether more can be seen
 
 ReadFaces = Callable[[Frame, np.ndarray], Reading]
 
@@ -58,9 +60,34 @@ def reconcile(
     return _choose(frame, reading, whole, up)
 
 
+def without_gravity(frame: Frame, views: LineViews, guesses: list[np.ndarray], read_faces: ReadFaces) -> Geometry:
+    """The answer when nothing is known of gravity: what stands and lies in the picture tells it.
+
+    Args:
+        frame: what is measured.
+        views: of the frame's chosen lines.
+        guesses: (3, 3) camera to (f, l, h) of several pitches that the camera may have.
+        read_faces: as in `reconcile`.
+    """
+    best: RoundedStairs | None = None
+    for guess in guesses:
+        whole = measure_rounded(
+            frame.chosen, views, frame.depth_m, frame.intrinsics, guess, NO_GRAVITY_STD_RAD, frame.omega_m
+        )
+        told = whole is not None and whole.fit.turn_std_rad < MAX_TOLD_STD_RAD
+        if told and (best is None or whole.fit.cost < best.fit.cost):
+            best = whole
+    if best is None:
+        return replace(frame.nothing("gravity is unknown, and depth does not tell it"), gravity_source="depth")
+    return _choose(frame, read_faces(frame, best.camera_to_stair), best, None)
+
+
 def _choose(frame: Frame, reading: Reading, whole: RoundedStairs, up: np.ndarray | None) -> Geometry:
-    """Sharp depth: the faces. Round creases: the whole, unless the faces predict better what is seen."""
-    if whole.fit.crease_px < SHARP_CREASE_PX or is_sound(reading):
+    """The faces, where they predict what is seen and show as many steps; else the whole."""
+    steps = len(reading.geometry.steps)
+    faces_fit = reading.misfit < MAX_MISFIT and steps > 0
+    sharp = whole.fit.crease_px < SHARP_CREASE_PX and whole.fit.noise < SHARP_NOISE
+    if faces_fit and (sharp or steps >= min(len(steps_of(whole.nosings)), ENOUGH_STEPS)):
         return with_gravity(reading, up)
     geometry = Geometry(
         whole.fit.direction,
@@ -72,8 +99,6 @@ def _choose(frame: Frame, reading: Reading, whole: RoundedStairs, up: np.ndarray
         "" if any(nosing.riser_m for nosing in whole.nosings) else "no complete riser in view",
         crease_px=whole.fit.crease_px,
     )
-    if len(geometry.steps) < len(reading.geometry.steps):
-        return with_gravity(reading, up)
     return with_gravity(Reading(geometry, whole.camera_to_stair), up)
 
 

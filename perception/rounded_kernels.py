@@ -90,7 +90,8 @@ def fit(
         inverse: (K,) 1 / m; first guess, and written.
         covariance: (K + 3, K + 3) of 1 / H or 1 / F of every face, pitch, usual riser, usual tread; written.
         answer: (6,) pitch in the middle of its prior and first guess, then written: pitch, cost (twice the negative
-            logarithm of the likelihood), standard deviation of a row, share of the rows explained, usual riser, usual tread.
+            logarithm of the likelihood), standard deviation of a row, share of the rows explained, usual riser, and
+            usual tread.
     """
     rows, faces = weight.shape
     size = faces + 3
@@ -100,7 +101,6 @@ def fit(
     sigma, per_reading, cut = noise[0], noise[1], noise[2]
     normal = np.empty((size, size))
     right = np.empty(size)
-    residual = np.empty(rows)
     column = np.empty(faces)
     scatter = np.empty(rows)
     cost, explained, counted = 0.0, 0.0, 0.0
@@ -214,10 +214,7 @@ def fit(
                 expected = sign * riser if kind[i] == TREAD else tread
                 way = sign if kind[i] == TREAD else 1.0
                 off = there - here - expected
-                if abs(off) < likeness[0]:
-                    a = 1.0 / likeness[0] ** 2
-                else:
-                    a = 1.0 / (likeness[0] * abs(off))
+                a = 1.0 / (likeness[0] * max(abs(off), likeness[0]))  # Huber: one step may be quite unlike the others
                 cost += a * off * off
                 d_here, d_there = here * here, -there * there
                 normal[i, i] += a * d_here * d_here
@@ -229,14 +226,14 @@ def fit(
                 right[i] -= a * d_here * off
                 right[other] -= a * d_there * off
                 right[usual] += a * way * off
-                if sign < 0.0 and kind[i] == TREAD and i + 2 < faces + 0:
+                if sign < 0.0 and kind[i] == TREAD and i + 2 < faces:
                     # Nosings are where the lines cross the treads.
                     t0, t1 = math.tan(line_angle[i] + pitch), math.tan(line_angle[other] + pitch)
                     if t0 > -0.02 or t1 > -0.02:
                         continue
                     off = there / t1 - here / t0 - tread
                     std = likeness[0]
-                    a = 1.0 / std**2 if abs(off) < std else 1.0 / (std * abs(off))
+                    a = 1.0 / (std * max(abs(off), std))
                     cost += a * off * off
                     g0, g1 = here * here / t0, -there * there / t1
                     gp = here * (1.0 + t0 * t0) / (t0 * t0) - there * (1.0 + t1 * t1) / (t1 * t1)

@@ -356,7 +356,7 @@ def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> 
 
 
 def _run_std(section: Section, edge: _Edge, far: _Edge) -> float:
-    """Standard deviation of the run between two descending nosings, metres: what both heights have in common cancels."""
+    """Standard deviation of the run between two descending nosings, metres: what both heights share cancels."""
     c, near_face, far_face = section.covariance, edge.before, far.before
     by_near, by_far = 1.0 / edge.slope, 1.0 / far.slope
     heights = by_near**2 * c[near_face, near_face] + by_far**2 * c[far_face, far_face]

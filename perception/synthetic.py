@@ -199,10 +199,14 @@ def photograph(
 
 
 def match_depth(
-    renderer: Renderer, camera_to_world: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+    renderer: Renderer,
+    camera_to_world: np.ndarray,
+    intrinsics: Intrinsics,
+    rng: np.random.Generator,
+    config: StereoConfig | None = None,
 ) -> np.ndarray:
-    """Depth of a random stereo camera, aligned to colour: float32 (H, W), metres, 0 = no reading."""
-    sensor = StereoDepth(StereoConfig.random(rng))
+    """Depth of a stereo camera (None: a random one), aligned to colour: float32 (H, W), metres, 0 = no reading."""
+    sensor = StereoDepth(config if config is not None else StereoConfig.random(rng))
     sensor.reset(rng)
     return sensor.measure(renderer, camera_to_world, intrinsics, rng)
 

@@ -15,6 +15,7 @@ from stair_env.cli.common import (
     write_json,
 )
 
+DEPTHS = ("model", "stereo")
 NETWORKS = ("stairnet", "ideal")
 WIDTHS = (0.25, 0.5, 1.0)
 DRIVERS = ("tracked", "true")
@@ -39,6 +40,12 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--stairs", type=choice_list(STAIR_NAMES), default=STAIR_NAMES, help="comma-separated (all)")
     parser.add_argument("--mode", default="640x480", help="D435i colour mode (%(default)s)")
+    parser.add_argument(
+        "--depth",
+        choices=DEPTHS,
+        default="model",
+        help="of single frames: a fast error model, or matched infrared pairs",
+    )
     walking = parser.add_argument_group("walking")
     walking.add_argument("--walking", action="store_true", help="walk over the stairs instead of taking single frames")
     walking.add_argument(
@@ -89,7 +96,7 @@ def _run_frames(args: argparse.Namespace) -> int:
     from stair_env.paper_stairs import PAPER_STAIRS
 
     stairs = tuple(stair for stair in PAPER_STAIRS if stair.name in args.stairs)
-    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend)
+    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend, args.depth)
     with tqdm(total=config.frames, desc="measure", unit="frame", dynamic_ncols=True) as bar:
         result = run_measurement(config, args.seed, bar.update)
     _print_table(result)
