@@ -145,7 +145,7 @@ def measure_stairs(
     guess = level_to_stair(yaw) @ level
     up = -level[1]
     reading = read(frame, guess)
-    if is_sound(reading):
+    if is_sound(reading, up):
         return with_gravity(reading, up)
     return reconcile(frame, reading, views, guess, up, read)
 
@@ -167,14 +167,14 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
     checked = check_lines(frame.chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
     chosen = checked.lines
     if len(chosen) == 0:
-        return Reading(frame.nothing("depth shows no edge where the lines are"), guess)
+        return Reading(frame.nothing("depth shows no edge where the lines are"), guess, scan=checked.profile)
     views, faces = _fit(checked, depth_m, intrinsics, guess, gravity_std_rad)
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
-        return Reading(frame.nothing("no height differences between the lines"), guess)
+        return Reading(frame.nothing("no height differences between the lines"), guess, scan=checked.profile)
     if checked.confirmed.sum() < MIN_CONFIRMED[direction]:
-        return Reading(frame.nothing("depth confirms too few of the lines"), guess)
+        return Reading(frame.nothing("depth confirms too few of the lines"), guess, scan=checked.profile)
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
@@ -190,7 +190,7 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
         "" if any(nosing.riser_m for nosing in nosings) else "no complete riser in view",
     )
     misfit = section_misfit(section, slopes[0], checked.profile, faces.camera_to_stair @ guess.T)
-    return Reading(geometry, faces.camera_to_stair, misfit)
+    return Reading(geometry, faces.camera_to_stair, misfit, checked.profile)
 
 
 def _fit(

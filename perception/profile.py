@@ -11,6 +11,7 @@ the lack of one.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +32,8 @@ FACE_COST = 8.0  # of one more face, squared standard deviations: noise does not
 UNKNOWN_COST = 3.0  # per row that no face explains
 MIN_FACE_ROWS = 3
 MAX_GAP_ROWS = 8  # unexplained rows between two faces that still meet there: smeared and missing depth
+CUT_TURNS_RAD = tuple(math.radians(degrees) for degrees in range(-12, 13))  # that `pitch_from_cut` tries
+CUT_TURN_STD_RAD = math.radians(0.5)
 CORNER_MISS_ROWS = 6.0  # of the corner of two planes from the cut between them; beyond that they do not meet
 
 
@@ -102,7 +105,7 @@ def read_profile(
         omega_m: faces of one kind nearer than this are one.
     """
     scan = scan_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral_m)
-    first, kind = _segment(scan)
+    first, kind, _ = _segment(scan)
     face, kinds, values, spans = _faces(first, kind, scan, omega_m)
     edges = _edges(kinds, values, spans, scan.slope)
     return Profile(
@@ -172,8 +175,8 @@ def _scan(
     return Scan(slope, forward, height, distance, readings)
 
 
-def _segment(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
-    """First row and kind of each part of the cross-section."""
+def _segment(scan: Scan) -> tuple[np.ndarray, np.ndarray, float]:
+    """First row and kind of each part of the cross-section, and what the cut costs."""
     from perception import profile_kernels
 
     kernels: Any = profile_kernels
@@ -185,10 +188,32 @@ def _segment(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     forward_std = np.hypot(noise * per_depth, PLACE_STD_M)
     height_std = np.hypot(noise * per_depth * slope, PLACE_STD_M)
     first, kind = np.empty(len(slope), dtype=np.int64), np.empty(len(slope), dtype=np.int64)
-    count = kernels.segment(
+    count, cost = kernels.segment(
         forward, height, forward_std, height_std, readings, ROWS_PER_READING, FACE_COST, UNKNOWN_COST, first, kind
     )
-    return first[:count], kind[:count]
+    return first[:count], kind[:count], cost
+
+
+def pitch_from_cut(scan: Scan) -> float:
+    """The turn under which the cross-section is cut most cheaply into level treads and upright risers, radians.
+
+    Needs no lines, but depth with straight faces. Gravity counts as in `perception.rounded`: right to half a degree,
+    with long tails.
+    """
+    costs = []
+    for turn in CUT_TURNS_RAD:
+        cos, sin = math.cos(turn), math.sin(turn)
+        forward = np.where(scan.readings > 0, np.maximum(cos * scan.forward_m - sin * scan.height_m, 1e-3), 0.0)
+        height = np.where(scan.readings > 0, sin * scan.forward_m + cos * scan.height_m, 0.0)
+        slope = np.tan(np.clip(np.arctan(scan.slope) + turn, -1.5, 1.5))
+        turned = Scan(slope, forward, height, scan.depth_m, scan.readings)
+        costs.append(_segment(turned)[2] + 2.0 * math.log1p((turn / CUT_TURN_STD_RAD) ** 2))
+    best = int(np.argmin(costs))
+    if not 0 < best < len(costs) - 1:
+        return CUT_TURNS_RAD[best]
+    left, middle, right = costs[best - 1 : best + 2]
+    shift = 0.5 * (left - right) / max(left - 2.0 * middle + right, 1e-9)
+    return CUT_TURNS_RAD[best] + shift * (CUT_TURNS_RAD[1] - CUT_TURNS_RAD[0])
 
 
 def _faces(

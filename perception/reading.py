@@ -81,11 +81,13 @@ class Reading:
         geometry: its answer.
         camera_to_stair: (3, 3) rotation into (f, l, h) that goes with it.
         misfit: `section_misfit` of it, 1 / m; infinite without an answer.
+        scan: the cross-section that it rests on, in the (f, l, h) that were guessed; None where there was none.
     """
 
     geometry: Geometry
     camera_to_stair: np.ndarray
     misfit: float = math.inf
+    scan: Scan | None = None
 
 
 def with_gravity(reading: Reading, up: np.ndarray | None) -> Geometry:

@@ -152,6 +152,8 @@ def fit_rounded(
         for fattening in (FATTENING_ROWS if direction < 0 else (0.0,))
     ]
     answer, inverse, covariance, width = min(fits, key=lambda fit: float(fit[0][1]))
+    if width == CREASE_ROWS[-1]:  # so round that nothing is left of the steps: a ramp with stripes looks the same
+        return None
     usual = float(answer[4]), float(answer[5])
     if not (np.isfinite(covariance).all() and np.isfinite(inverse).all() and _is_stairs(kind, *usual)):
         return None

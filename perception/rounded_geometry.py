@@ -23,7 +23,7 @@ from stair_env.camera.intrinsics import Intrinsics
 
 SCANS = 2  # the cross-section is scanned again once roll and yaw are known better
 SETTLED_RAD = math.radians(0.3)  # a correction sideways after which no scan is worth its time
-MIN_EXPLAINED = 0.75  # share of the rows; below, it is something else
+MIN_EXPLAINED = 0.78  # share of the rows; below, it is something else
 EDGE_MARGIN_PX = 3.0
 MARGIN_CREASES = 1.5  # standard deviations of the blur that are left out on either side of a line
 

@@ -16,6 +16,7 @@ ROUNDS = 7
 MAX_UNKNOWN_SHARE = 0.15  # of a row that an unexplained strip may have blurred into it
 UNKNOWN_OUTSIDE = 0.3  # what leaving a row before or behind all lines unexplained costs, of one between them
 MAX_TURN = 0.06  # radians per round
+FIRST_RISER = 2.5  # times as unlike: floors are laid after the stairs
 TAIL = 1.0  # degrees of freedom of what gravity may be off by
 RIDGE = 1e-2  # m^2: a face that nothing is known of stays at infinity instead of making the equations singular
 
@@ -214,7 +215,10 @@ def fit(
                 expected = sign * riser if kind[i] == TREAD else tread
                 way = sign if kind[i] == TREAD else 1.0
                 off = there - here - expected
-                a = 1.0 / (likeness[0] * max(abs(off), likeness[0]))  # Huber: one step may be quite unlike the others
+                std = likeness[0]
+                if kind[i] == TREAD and (i == 0 or (i == 1 and kind[0] != TREAD)):
+                    std *= FIRST_RISER
+                a = 1.0 / (std * max(abs(off), std))  # Huber: one step may be quite unlike the others
                 cost += a * off * off
                 d_here, d_there = here * here, -there * there
                 normal[i, i] += a * d_here * d_here
@@ -259,6 +263,8 @@ def fit(
             break
         step_vector = np.linalg.solve(normal, right)
         turned = min(max(step_vector[faces], -MAX_TURN), MAX_TURN)
+        if turn == 0:  # without faces yet, only the prior would move it
+            turned = 0.0
         for i in range(faces):
             inverse[i] += step_vector[i]
         pitch += turned
