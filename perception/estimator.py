@@ -109,7 +109,7 @@ class StairEstimator(PicklesByArguments):
         return cls[0], loc[0]
 
     def estimate(
-        self, rgb: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, gravity: np.ndarray
+        self, rgb: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, gravity: np.ndarray | None
     ) -> StairEstimate:
         """Measure the staircase in one frame.
 
@@ -118,7 +118,7 @@ class StairEstimator(PicklesByArguments):
             depth_m: float (H, W), aligned to rgb, metres, 0 = no reading; NaN and infinity count as no reading.
             intrinsics: of both images.
             gravity: (3,) accelerometer reading at rest in the camera frame (x right, y down, z forward), m/s^2;
-                (0, -9.8, 0) when level.
+                (0, -9.8, 0) when level. None when unknown: treads and risers tell it then.
 
         Returns:
             StairEstimate; not valid, with a reason, when there is no staircase to measure.
@@ -133,7 +133,7 @@ class StairEstimator(PicklesByArguments):
         rgb: Sequence[np.ndarray],
         depth_m: Sequence[np.ndarray],
         intrinsics: Sequence[Intrinsics],
-        gravity: Sequence[np.ndarray],
+        gravity: Sequence[np.ndarray | None],
     ) -> list[StairEstimate]:
         """`estimate` for B frames in one run of the network; sequences of equal length."""
         counts = {len(rgb), len(depth_m), len(intrinsics), len(gravity)}
@@ -147,7 +147,7 @@ class StairEstimator(PicklesByArguments):
         for image, depth, model, reading in zip(rgb, depth_m, intrinsics, gravity):
             check_images(image, depth)
             check_intrinsics(model, image)
-            check_gravity(reading)
+            self._check_gravity(reading)
         clean = [_clean_depth(depth) for depth in depth_m]
         cls, loc = self._detector.detect(rgb, clean)
         return [
@@ -155,8 +155,13 @@ class StairEstimator(PicklesByArguments):
             for index in range(len(rgb))
         ]
 
+    def _check_gravity(self, gravity: np.ndarray | None) -> np.ndarray | None:
+        if gravity is None and self._method == "paper":
+            raise ValueError("gravity=None, but method='paper' takes the attitude from it (equation 8)")
+        return None if gravity is None else check_gravity(gravity)
+
     def interpret(
-        self, cls: np.ndarray, loc: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, gravity: np.ndarray
+        self, cls: np.ndarray, loc: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, gravity: np.ndarray | None
     ) -> StairEstimate:
         """Everything behind the network: lines, clusters, geometry.
 
@@ -166,9 +171,9 @@ class StairEstimator(PicklesByArguments):
             intrinsics: of the depth image.
             gravity: (3,) as in `estimate`.
         """
-        gravity = check_gravity(gravity)
+        gravity = self._check_gravity(gravity)
         lines = to_image_pixels(find_lines(cls, loc, self._threshold), intrinsics.width, intrinsics.height)
-        if self._method == "paper":
+        if self._method == "paper" and gravity is not None:
             geometry = measure_stairs_as_the_paper(lines, depth_m, intrinsics, gravity, omega_m=self._omega_m)
         else:
             geometry = measure_stairs(
@@ -177,8 +182,11 @@ class StairEstimator(PicklesByArguments):
         return _as_estimate(geometry, lines, gravity, self._sure_threshold)
 
 
-def _as_estimate(geometry: Geometry, lines: np.ndarray, gravity: np.ndarray, sure_threshold: float) -> StairEstimate:
-    pitch, roll = attitude_angles(gravity)
+def _as_estimate(
+    geometry: Geometry, lines: np.ndarray, gravity: np.ndarray | None, sure_threshold: float
+) -> StairEstimate:
+    upright = gravity if gravity is not None and geometry.gravity_source == "imu" else geometry.up
+    pitch, roll = attitude_angles(upright) if upright is not None else (0.0, 0.0)
     order = np.argsort(-(lines[:, 1] + lines[:, 3])) if len(lines) else np.empty(0, dtype=int)
     # A line of weak cells is one only if geometry found it to be an edge.
     sure = (lines[:, 6] >= sure_threshold) | (np.array(geometry.kinds, dtype=str) != "unknown")
@@ -197,6 +205,8 @@ def _as_estimate(geometry: Geometry, lines: np.ndarray, gravity: np.ndarray, sur
         yaw_std_rad=geometry.yaw_std_rad,
         next_edge_m=geometry.nosings[0].distance_m if valid else 0.0,
         reason="" if valid else geometry.reason or "no complete riser in view",
+        gravity_source=geometry.gravity_source,
+        gravity_correction_rad=geometry.gravity_correction_rad,
     )
 
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stair_env.common.constants import MEASURED_DETECTORS, NETWORK_WIDTHS, PAPER_STAIR_NAMES, WALK_DRIVERS
+from stair_env.common.constants import (
+    DEPTH_SOURCES,
+    MEASURED_DETECTORS,
+    NETWORK_WIDTHS,
+    PAPER_STAIR_NAMES,
+    WALK_DRIVERS,
+)
 from stair_env_cli.arguments import (
     add_backend_argument,
     add_common_arguments,
@@ -37,6 +43,12 @@ def add_parser(subparsers: Any) -> None:
         "--stairs", type=choice_list(PAPER_STAIR_NAMES), default=PAPER_STAIR_NAMES, help="comma-separated (all)"
     )
     parser.add_argument("--mode", default="640x480", help="D435i colour mode (%(default)s)")
+    parser.add_argument(
+        "--depth",
+        choices=DEPTH_SOURCES,
+        default="model",
+        help="of single frames: a fast error model, or matched infrared pairs",
+    )
     walking = parser.add_argument_group("walking")
     walking.add_argument("--walking", action="store_true", help="walk over the stairs instead of taking single frames")
     walking.add_argument(
@@ -87,7 +99,7 @@ def _run_frames(args: argparse.Namespace) -> int:
     from stair_env.scene.paper_stairs import PAPER_STAIRS
 
     stairs = tuple(stair for stair in PAPER_STAIRS if stair.name in args.stairs)
-    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend)
+    config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend, args.depth)
     with tqdm(total=config.frames, desc="measure", unit="frame", dynamic_ncols=True) as bar:
         result = run_measurement(config, args.seed, bar.update)
     _print_table(result)

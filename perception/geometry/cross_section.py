@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from perception.geometry.results import Nosing, StepMeasurement
-from perception.geometry.strip_labels import RISER, TREAD, UNKNOWN
-from perception.geometry.strip_planes import Faces, LineViews
+from perception.geometry.strips.strip_labels import RISER, TREAD, UNKNOWN
+from perception.geometry.strips.strip_planes import Faces, LineViews
 from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 
 DOWN, UP = -1, 1
@@ -34,7 +34,7 @@ class Section:
     """Faces nearest first, after lines within one and the same face are dropped.
 
     Attributes:
-        kind, value: (n,) as in `perception.geometry.strip_planes.Faces`.
+        kind, value: (n,) as in `perception.geometry.strips.strip_planes.Faces`.
         covariance: (n, n) of the values, m^2.
         line, last_line: (n,) index of the lowest and the highest detected line between a face and the next one, which
             differ where a thin strip that nobody can explain was left out; the last entry means nothing.
@@ -161,6 +161,7 @@ class _Edge:
     Attributes:
         forward, forward_std, height, height_std: metres, relative to the camera.
         before: index of the face that ends at the nosing; the next face begins behind it.
+        slope, slope_std: height per forward metre at which its line is seen.
     """
 
     forward: float
@@ -168,6 +169,8 @@ class _Edge:
     height: float
     height_std: float
     before: int
+    slope: float
+    slope_std: float
 
 
 def read_nosings(
@@ -268,9 +271,9 @@ def _ascending_edge(section: Section, index: int, slope: float, slope_std: float
         height = float(section.value[index + 1])
         if abs(height - by_line) > omega_m:  # a line on the riser, not at its top
             return None
-        return _Edge(forward, section.std(index), height, section.std(index + 1), index)
+        return _Edge(forward, section.std(index), height, section.std(index + 1), index, slope, slope_std)
     std = math.hypot(slope_std * forward, slope * section.std(index))
-    return _Edge(forward, section.std(index), by_line, std, index)
+    return _Edge(forward, section.std(index), by_line, std, index, slope, slope_std)
 
 
 def _descending_edge(section: Section, index: int, slope: float, slope_std: float, omega_m: float) -> _Edge | None:
@@ -284,7 +287,7 @@ def _descending_edge(section: Section, index: int, slope: float, slope_std: floa
     if forward <= 0.0:
         return None
     std = math.hypot(forward * slope_std / slope, section.std(index) / slope)
-    return _Edge(forward, std, height, section.std(index), index)
+    return _Edge(forward, std, height, section.std(index), index, slope, slope_std)
 
 
 def _finish(
@@ -351,7 +354,17 @@ def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> 
         return run, section.std_of_difference(edge.before, risers[0])
     if far is None or far.before != edge.before + 1:
         return None
-    return far.forward - edge.forward, math.hypot(edge.forward_std, far.forward_std)
+    return far.forward - edge.forward, _run_std(section, edge, far)
+
+
+def _run_std(section: Section, edge: _Edge, far: _Edge) -> float:
+    """Standard deviation of the run between two descending nosings, metres: what both heights share cancels."""
+    c, near_face, far_face = section.covariance, edge.before, far.before
+    by_near, by_far = 1.0 / edge.slope, 1.0 / far.slope
+    heights = by_near**2 * c[near_face, near_face] + by_far**2 * c[far_face, far_face]
+    heights -= 2.0 * by_near * by_far * c[near_face, far_face]
+    lines = math.hypot(edge.forward * edge.slope_std / edge.slope, far.forward * far.slope_std / far.slope)
+    return math.hypot(math.sqrt(max(float(heights), 0.0)), lines)
 
 
 def _is(section: Section, face: int, kind: int) -> bool:

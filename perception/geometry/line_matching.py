@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from perception.geometry.depth_profile import Profile, ProfileEdge, read_profile
 from perception.geometry.lines import SCORE_THRESHOLD, median
+from perception.geometry.profile.depth_profile import Profile, ProfileEdge, read_profile
 from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 from stair_env.intrinsics import Intrinsics
 
@@ -106,7 +106,7 @@ def lateral_extent(
         camera_to_stair: (3, 3).
     """
 
-    from perception.geometry import depth_profile_kernels
+    from perception.geometry.profile import depth_profile_kernels
 
     kernels: Any = depth_profile_kernels
     distance = np.empty(len(lines))

@@ -3,13 +3,13 @@
 Frames, all right-handed and centred in the colour imager: *camera* (x right, y down, z forward), *level* (the same
 after undoing roll and pitch: y along gravity, z horizontal), *stair* (f forward along the walking direction, l left,
 h up). Two methods give the same result type: "planes", the default, which fits treads and risers
-(`perception.geometry.strip_planes`), and "paper", equations 7 to 9 to the letter (`perception.geometry.paper`).
+(`perception.geometry.strips.strip_planes`), and "paper", equations 7 to 9 to the letter (`perception.geometry.paper`).
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,11 +22,12 @@ from perception.geometry.cross_section import (
     steps_of,
     walking_direction,
 )
-from perception.geometry.depth_jumps import locate_drops
 from perception.geometry.line_matching import CheckedLines, check_lines
 from perception.geometry.lines import median
-from perception.geometry.results import Nosing, StepMeasurement
-from perception.geometry.strip_planes import Faces, LineViews, fit_faces, sample_strips
+from perception.geometry.profile.depth_jumps import locate_drops
+from perception.geometry.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
+from perception.geometry.reconcile import is_sound, reconcile, without_gravity
+from perception.geometry.strips.strip_planes import Faces, LineViews, fit_faces, sample_strips
 from stair_env.intrinsics import Intrinsics
 
 OMEGA_M = 0.05  # the paper's threshold: smaller widths and heights are noise of one and the same face
@@ -41,20 +42,8 @@ MISSING_LINE_JITTER_PX = 3.0  # of a line that only depth has placed, and so say
 MAX_DISAGREEMENT_PX = 2.5  # of the two; where they are farther apart depth alone counts
 UNCONFIRMED_FACTOR = 8.0  # on the jitter of a line near which depth shows no jump: it may be 4 px off
 STRIP_IMAGE_WIDTH_PX = 640.0
+UNKNOWN_PITCHES_RAD = tuple(math.radians(degrees) for degrees in (-5.0, -25.0, -45.0, -65.0))  # head up positive
 MAX_YAW_RAD = math.radians(70.0)
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """What one frame says about the staircase (see `perception.geometry.results.StairEstimate` for the fields)."""
-
-    direction: int = 0
-    nosings: tuple[Nosing, ...] = ()
-    steps: tuple[StepMeasurement, ...] = ()
-    yaw_rad: float = 0.0
-    yaw_std_rad: float = 0.0
-    kinds: tuple[str, ...] = ()
-    reason: str = ""
 
 
 def attitude_angles(gravity: np.ndarray) -> tuple[float, float]:
@@ -129,7 +118,7 @@ def measure_stairs(
     lines: np.ndarray,
     depth_m: np.ndarray,
     intrinsics: Intrinsics,
-    gravity: np.ndarray,
+    gravity: np.ndarray | None,
     *,
     omega_m: float = OMEGA_M,
     gravity_std_rad: float = GRAVITY_STD_RAD,
@@ -140,7 +129,7 @@ def measure_stairs(
         lines: (m, 8) rows of `perception.geometry.lines.LINE_FIELDS`, pixels of the depth image, any order.
         depth_m: (H, W) float, metres, 0 = no reading.
         intrinsics: of the depth image.
-        gravity: (3,) accelerometer reading at rest, camera frame.
+        gravity: (3,) accelerometer reading at rest, camera frame; None when unknown: it is found from depth.
         omega_m: smallest width and height that counts, metres.
         gravity_std_rad: standard deviation of the gravity direction.
 
@@ -152,42 +141,64 @@ def measure_stairs(
     if len(used) == 0:
         return Geometry(kinds=unknown, reason="no stair lines")
     used = used[np.argsort(-_height_at_middle(lines[used]))]
-    chosen = lines[used]
+    frame = Frame(lines, used, depth_m, intrinsics, omega_m)
+    read = functools.partial(_read_faces, gravity_std_rad=gravity_std_rad)
+    views = _line_views(frame.chosen, intrinsics, _jitter_px(frame.chosen, intrinsics), _lengths(frame.chosen))
+    if gravity is None:
+        return without_gravity(frame, views, _guesses(frame), read)
     level = camera_to_level(gravity)
-    normals = line_normals(chosen, intrinsics)
-    lengths = chosen[:, 2] - chosen[:, 0]
-    yaw = yaw_from_lines(normals @ level.T, lengths)
+    yaw = yaw_from_lines(line_normals(frame.chosen, intrinsics) @ level.T, _lengths(frame.chosen))
     if abs(yaw) > MAX_YAW_RAD:
         return Geometry(kinds=unknown, reason="the lines run away from the camera")
     guess = level_to_stair(yaw) @ level
-    checked = check_lines(chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
+    up = -level[1]
+    reading = read(frame, guess)
+    if is_sound(reading, up):
+        return with_gravity(reading, up)
+    return reconcile(frame, reading, views, guess, up, read)
+
+
+def _guesses(frame: Frame) -> list[np.ndarray]:
+    """(3, 3) rotations into (f, l, h) for several pitches of a camera that is held upright."""
+    guesses = []
+    for pitch in UNKNOWN_PITCHES_RAD:
+        level = camera_to_level(np.array([0.0, -math.cos(pitch), math.sin(pitch)]))
+        yaw = yaw_from_lines(line_normals(frame.chosen, frame.intrinsics) @ level.T, _lengths(frame.chosen))
+        if abs(yaw) <= MAX_YAW_RAD:
+            guesses.append(level_to_stair(yaw) @ level)
+    return guesses
+
+
+def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Reading:
+    """The steps from faces that are read one by one, between lines that depth confirms."""
+    depth_m, intrinsics, omega_m = frame.depth_m, frame.intrinsics, frame.omega_m
+    checked = check_lines(frame.chosen, depth_m, intrinsics, guess, omega_m, MIN_SUPPORT)
     chosen = checked.lines
     if len(chosen) == 0:
-        return Geometry(kinds=unknown, reason="depth shows no edge where the lines are")
+        return Reading(frame.nothing("depth shows no edge where the lines are"), guess, scan=checked.profile)
     views, faces = _fit(checked, depth_m, intrinsics, guess, gravity_std_rad)
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
-        return Geometry(kinds=unknown, reason="no height differences between the lines")
+        return Reading(frame.nothing("no height differences between the lines"), guess, scan=checked.profile)
     if checked.confirmed.sum() < MIN_CONFIRMED[direction]:
-        return Geometry(kinds=unknown, reason="depth confirms too few of the lines")
+        return Reading(frame.nothing("depth confirms too few of the lines"), guess, scan=checked.profile)
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
     nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
-    kinds = list(unknown)
-    for index, kind in edge_kinds.items():
-        if checked.source[index] >= 0:
-            kinds[used[checked.source[index]]] = kind
-    return Geometry(
+    edges = {int(checked.source[index]): kind for index, kind in edge_kinds.items() if checked.source[index] >= 0}
+    geometry = Geometry(
         direction,
         nosings,
         steps_of(nosings),
-        _camera_yaw(faces.camera_to_stair),
+        camera_yaw(faces.camera_to_stair),
         math.sqrt(float(faces.angle_cov[2, 2])),
-        tuple(kinds),
+        frame.kinds(edges),
         "" if any(nosing.riser_m for nosing in nosings) else "no complete riser in view",
     )
+    misfit = section_misfit(section, slopes[0], checked.profile, faces.camera_to_stair @ guess.T)
+    return Reading(geometry, faces.camera_to_stair, misfit, checked.profile)
 
 
 def _fit(
@@ -196,10 +207,20 @@ def _fit(
     """Faces between lines."""
     lines = checked.lines
     pixel = max(intrinsics.width, intrinsics.height) / 512.0
-    measured_px = np.hypot(LINE_JITTER_PX, PIECE_JITTER_PX / np.maximum(lines[:, 7], 1.0))
-    jitter_px = np.where(checked.source >= 0, measured_px, MISSING_LINE_JITTER_PX) * pixel
+    jitter_px = np.where(checked.source >= 0, _jitter_px(lines, intrinsics), MISSING_LINE_JITTER_PX * pixel)
     views = _line_views(lines, intrinsics, jitter_px, checked.own_length)
     return views, fit_faces(sample_strips(lines, depth_m, intrinsics), guess, views, gravity_std_rad)
+
+
+def _jitter_px(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(m,) standard deviation of the place of detected lines (m, 8), pixels."""
+    pixel = max(intrinsics.width, intrinsics.height) / 512.0
+    return np.asarray(np.hypot(LINE_JITTER_PX, PIECE_JITTER_PX / np.maximum(lines[:, 7], 1.0)) * pixel)
+
+
+def _lengths(lines: np.ndarray) -> np.ndarray:
+    """(m,) of the lines (m, 8) along x, pixels."""
+    return np.asarray(lines[:, 2] - lines[:, 0])
 
 
 def _thickness(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -253,9 +274,3 @@ def _height_at_middle(lines: np.ndarray) -> np.ndarray:
     """(m,) image y of every line at one common column, where most of them are."""
     x = median((lines[:, 0] + lines[:, 2]) / 2.0)
     return lines[:, 4] * x + lines[:, 5]
-
-
-def _camera_yaw(camera_to_stair: np.ndarray) -> float:
-    """Heading of the optical axis relative to the walking direction, positive to the right."""
-    f, left, _ = camera_to_stair[:, 2]
-    return math.atan2(-float(left), float(f))

@@ -70,6 +70,11 @@ class StairEstimate:
         next_edge_m: horizontal distance from the camera to the nearest nosing, along the walking direction; 0 when
             not valid.
         reason: why the estimate is not valid; empty when it is.
+        gravity_source: what the answer stands upright by: "imu", the given gravity; "refined", that corrected by more
+            than a degree after what lies and stands in the picture; "depth", when none was given.
+        gravity_correction_rad: angle between the given gravity and the one used; at most six degrees, or `reason`
+            says by how many the two disagree. pitch_rad and roll_rad are the corrected ones once `gravity_source` is
+            not "imu".
     """
 
     valid: bool
@@ -83,6 +88,8 @@ class StairEstimate:
     yaw_std_rad: float = 0.0
     next_edge_m: float = 0.0
     reason: str = ""
+    gravity_source: str = "imu"
+    gravity_correction_rad: float = 0.0
 
     @property
     def direction_name(self) -> str:
@@ -113,4 +120,6 @@ class StairEstimate:
             "yaw_rad": self.yaw_rad,
             "next_edge_m": self.next_edge_m,
             "reason": self.reason,
+            "gravity_source": self.gravity_source,
+            "gravity_correction_rad": self.gravity_correction_rad,
         }

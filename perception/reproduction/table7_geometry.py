@@ -19,7 +19,7 @@ import numpy as np
 from perception.estimator import StairEstimator
 from perception.geometry.results import StairEstimate
 from perception.reproduction.ideal_detector import IdealDetector
-from stair_env.common.constants import BACKENDS, MEASURED_DETECTORS, NOMINAL_GRAVITY_M_S2
+from stair_env.common.constants import BACKENDS, DEPTH_SOURCES, MEASURED_DETECTORS, NOMINAL_GRAVITY_M_S2
 from stair_env.common.transforms import look_along
 from stair_env.common.validation import check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
@@ -30,7 +30,8 @@ from stair_env.sensors.camera.depth_error import DepthErrorConfig
 from stair_env.sensors.camera.labels import LineLabel, visible_edges
 from stair_env.sensors.camera.renderers.base import Frame
 from stair_env.sensors.camera.renderers.factory import make_renderer
-from stair_env.sensors.camera.still import draw_device
+from stair_env.sensors.camera.stereo import StereoConfig
+from stair_env.sensors.camera.still import draw_device, draw_matched
 from stair_env.sensors.imu import Imu, ImuConfig
 from stair_env.stairs import StairProfile, StairSpec, WalkingDirection
 
@@ -69,6 +70,7 @@ class MeasureConfig:
         mode: D435i colour mode.
         stairs: which of the paper's staircases.
         backend: of the network, one of `perception.inference.backends.BACKENDS`.
+        depth: "model", a D435i's errors put on exact depth, or "stereo", a matched infrared pair.
 
     Raises:
         SpecError: a field is out of range (a ValueError).
@@ -80,8 +82,10 @@ class MeasureConfig:
     mode: str = "640x480"
     stairs: tuple[PaperStair, ...] = PAPER_STAIRS
     backend: str = "onnx"
+    depth: str = "model"
 
     def __post_init__(self) -> None:
+        check_choice("depth", self.depth, DEPTH_SOURCES)
         check_choice("network", self.network, MEASURED_DETECTORS)
         check_choice("backend", self.backend, BACKENDS)
         check_choice("mode", self.mode, tuple(D435I_COLOR_MODES))
@@ -183,8 +187,10 @@ def _steps_in_view(profile: StairProfile, ascending: bool, pose: np.ndarray, int
     return bool(inside.all())  # NaN, behind the camera, compares false
 
 
-def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics) -> Shot:
-    """One frame of a scene from a random pose, with the errors of one random D435i.
+def photograph(
+    spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsics: Intrinsics, stereo: StereoConfig | None = None
+) -> Shot:
+    """One frame of a scene from a random pose, with the errors of one random D435i; with `stereo`, of such a camera.
 
     Raises:
         ValueError: no pose is found from which every line of the measured steps is seen.
@@ -192,6 +198,9 @@ def photograph(spec: StairSpec, scene: Scene, rng: np.random.Generator, intrinsi
     pose, frame, labels = _frame_with_steps(spec, scene, rng, intrinsics)
     depth_model, colour_model = draw_device(rng, DepthErrorConfig(scale_bias_range=SCALE_BIAS))
     depth = depth_model.apply(frame.depth_m, frame.rgb, intrinsics, rng)
+    if stereo is not None:
+        matched = draw_matched(scene, intrinsics, pose, rng, config=stereo)[0]
+        depth = matched * np.float32(1.0 + depth_model.scale_bias)
     other_scale = (1.0 + rng.uniform(-1.0, 1.0) * SCALE_BIAS_UNCALIBRATED) / (1.0 + depth_model.scale_bias)
     still = np.tile(NOMINAL_GRAVITY_M_S2 * pose[2, :3], (IMU_SAMPLES, 1))
     force, _ = Imu(ImuConfig(), rng).read_many(still, np.zeros_like(still))
@@ -305,6 +314,7 @@ def run_measurement(config: MeasureConfig, seed: int, on_frame: SupportsProgress
         `rmse_mm_by` for each method and lighting, with `coverage`, the share of steps in view that were measured.
     """
     rng = np.random.default_rng(seed)
+    stereo = StereoConfig() if config.depth == "stereo" else None
     bench = _Bench(config, np.random.default_rng(rng.integers(2**63)))
     intrinsics = D435I_COLOR_MODES[config.mode]
     lightings: tuple[Literal["day", "night"], ...] = ("day", "night")
@@ -314,7 +324,7 @@ def run_measurement(config: MeasureConfig, seed: int, on_frame: SupportsProgress
             for lighting in lightings:
                 for _ in range(config.poses):
                     scene = Scene(dress(spec, lighting, rng))
-                    bench.take(photograph(spec, scene, rng, intrinsics), stair, spec, lighting)
+                    bench.take(photograph(spec, scene, rng, intrinsics, stereo), stair, spec, lighting)
                     if on_frame is not None:
                         on_frame()
     return _summary(config, bench)
@@ -336,6 +346,7 @@ def _summary(config: MeasureConfig, bench: _Bench) -> dict[str, Any]:
         by[name][word] = {"rmse_mm": errors.rmse_mm(), "coverage": errors.coverage()}
     return {
         "network": config.network,
+        "depth": config.depth,
         "width": config.width,
         "backend": config.backend,
         "poses": config.poses,

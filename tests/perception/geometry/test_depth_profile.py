@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from perception.geometry.depth_profile import Profile, read_profile
 from perception.geometry.line_matching import CheckedLines, check_lines
 from perception.geometry.planes import camera_to_level, level_to_stair
-from perception.geometry.strip_labels import RISER, TREAD
+from perception.geometry.profile.depth_profile import Profile, read_profile
+from perception.geometry.strips.strip_labels import RISER, TREAD
 from stair_env.common.transforms import look_along
 from stair_env.intrinsics import D435I_COLOR_MODES
 from stair_env.scene.spec import Scene, SceneSpec

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from perception.geometry.strip_kernels import cheapest_sequence
+from perception.geometry.strips.strip_kernels import cheapest_sequence
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.geometry.strip_planes import DEPTH_FLOOR_M, MAX_DEPTH_M, MIN_DEPTH_M, depth_std
+from perception.geometry.strips.strip_planes import DEPTH_FLOOR_M, MAX_DEPTH_M, MIN_DEPTH_M, depth_std
 from stair_env.intrinsics import Intrinsics
 
 COLUMNS = 27

@@ -11,14 +11,15 @@ the lack of one.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from perception.geometry.lines import median
-from perception.geometry.strip_labels import RISER, TREAD, UNKNOWN
-from perception.geometry.strip_planes import DEPTH_SIGMA_PER_M2, MAX_DEPTH_M, MIN_DEPTH_M
+from perception.geometry.strips.strip_labels import RISER, TREAD, UNKNOWN
+from perception.geometry.strips.strip_planes import DEPTH_SIGMA_PER_M2, MAX_DEPTH_M, MIN_DEPTH_M
 from stair_env.intrinsics import Intrinsics
 
 ROWS = 240  # of the cross-section: one for two of the image's at 640 x 480
@@ -31,6 +32,8 @@ FACE_COST = 8.0  # of one more face, squared standard deviations: noise does not
 UNKNOWN_COST = 3.0  # per row that no face explains
 MIN_FACE_ROWS = 3
 MAX_GAP_ROWS = 8  # unexplained rows between two faces that still meet there: smeared and missing depth
+CUT_TURNS_RAD = tuple(math.radians(degrees) for degrees in range(-12, 13))  # that `pitch_from_cut` tries
+CUT_TURN_STD_RAD = math.radians(0.5)
 CORNER_MISS_ROWS = 6.0  # of the corner of two planes from the cut between them; beyond that they do not meet
 
 
@@ -50,22 +53,33 @@ class ProfileEdge:
 
 
 @dataclass(frozen=True)
-class Profile:
-    """The cross-section, nearest row first.
+class Scan:
+    """The cross-section as it is seen, nearest row first.
 
     Attributes:
         slope: (J,) height per forward metre of each row.
         forward_m, height_m: (J,) what is seen there; 0 where nothing is.
+        depth_m: (J,) depth that goes with it.
         readings: (J,) how many readings a row rests on.
-        face: (J,) index of the face of each row, -1 for none.
-        kind, value: (K,) TREAD or RISER of each face; its height or forward distance, metres.
-        edges: nearest first.
     """
 
     slope: np.ndarray
     forward_m: np.ndarray
     height_m: np.ndarray
+    depth_m: np.ndarray
     readings: np.ndarray
+
+
+@dataclass(frozen=True)
+class Profile(Scan):
+    """The cross-section, cut into faces.
+
+    Attributes:
+        face: (J,) index of the face of each row, -1 for none.
+        kind, value: (K,) TREAD or RISER of each face; its height or forward distance, metres.
+        edges: nearest first.
+    """
+
     face: np.ndarray
     kind: np.ndarray
     value: np.ndarray
@@ -90,12 +104,33 @@ def read_profile(
         lateral_m: least and greatest l of the staircase, metres.
         omega_m: faces of one kind nearer than this are one.
     """
+    scan = scan_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral_m)
+    first, kind, _ = _segment(scan)
+    face, kinds, values, spans = _faces(first, kind, scan, omega_m)
+    edges = _edges(kinds, values, spans, scan.slope)
+    return Profile(
+        scan.slope,
+        scan.forward_m,
+        scan.height_m,
+        scan.depth_m,
+        scan.readings,
+        face,
+        np.array(kinds, dtype=int),
+        np.array(values),
+        edges,
+    )
+
+
+def scan_profile(
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    camera_to_stair: np.ndarray,
+    middle_x: float,
+    lateral_m: tuple[float, float],
+) -> Scan:
+    """The cross-section as it is seen; arguments as in `read_profile`."""
     slope = _row_slopes(intrinsics, camera_to_stair, middle_x)
-    forward, height, distance, readings = _scan(depth_m, intrinsics, camera_to_stair, slope, lateral_m)
-    first, kind = _segment(slope, forward, height, distance, readings)
-    face, kinds, values, spans = _faces(first, kind, slope, forward, height, readings, omega_m)
-    edges = _edges(kinds, values, spans, slope, omega_m)
-    return Profile(slope, forward, height, readings, face, np.array(kinds, dtype=int), np.array(values), edges)
+    return _scan(depth_m, intrinsics, camera_to_stair, slope, lateral_m)
 
 
 def _row_slopes(intrinsics: Intrinsics, rotation: np.ndarray, middle_x: float) -> np.ndarray:
@@ -113,10 +148,10 @@ def _scan(
     rotation: np.ndarray,
     slope: np.ndarray,
     lateral_m: tuple[float, float],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(J,) each: forward, height, depth, readings."""
+) -> Scan:
+    """One reading a row of the image."""
 
-    from perception.geometry import depth_profile_kernels
+    from perception.geometry.profile import depth_profile_kernels
 
     kernels: Any = depth_profile_kernels
     columns = ((np.arange(COLUMNS) + 0.5) * (intrinsics.width / COLUMNS)).astype(np.int64)
@@ -139,48 +174,67 @@ def _scan(
         distance,
         readings,
     )
-    return forward, height, distance, readings
+    return Scan(slope, forward, height, distance, readings)
 
 
-def _segment(
-    slope: np.ndarray, forward: np.ndarray, height: np.ndarray, distance: np.ndarray, readings: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """First row and kind of each part of the cross-section."""
-
-    from perception.geometry import depth_profile_kernels
+def _segment(scan: Scan) -> tuple[np.ndarray, np.ndarray, float]:
+    """First row and kind of each part of the cross-section, and what the cut costs."""
+    from perception.geometry.profile import depth_profile_kernels
 
     kernels: Any = depth_profile_kernels
+    slope, forward, height, distance, readings = (
+        scan.slope, scan.forward_m, scan.height_m, scan.depth_m, scan.readings,
+    )  # fmt: skip
     noise = DEPTH_SIGMA_PER_M2 * distance**2 / np.sqrt(np.maximum(readings / COLUMNS_PER_READING, 1.0))
     per_depth = forward / np.maximum(distance, 1e-6)
     forward_std = np.hypot(noise * per_depth, PLACE_STD_M)
     height_std = np.hypot(noise * per_depth * slope, PLACE_STD_M)
     first, kind = np.empty(len(slope), dtype=np.int64), np.empty(len(slope), dtype=np.int64)
-    count = kernels.segment(
+    count, cost = kernels.segment(
         forward, height, forward_std, height_std, readings, ROWS_PER_READING, FACE_COST, UNKNOWN_COST, first, kind
     )
-    return first[:count], kind[:count]
+    return first[:count], kind[:count], cost
+
+
+def pitch_from_cut(scan: Scan) -> float:
+    """The turn under which the cross-section is cut most cheaply into level treads and upright risers, radians.
+
+    Needs no lines, but depth with straight faces. Gravity counts as in `perception.geometry.rounded`: right to
+    half a degree, with long tails.
+    """
+    costs = []
+    for turn in CUT_TURNS_RAD:
+        cos, sin = math.cos(turn), math.sin(turn)
+        forward = np.where(scan.readings > 0, np.maximum(cos * scan.forward_m - sin * scan.height_m, 1e-3), 0.0)
+        height = np.where(scan.readings > 0, sin * scan.forward_m + cos * scan.height_m, 0.0)
+        slope = np.tan(np.clip(np.arctan(scan.slope) + turn, -1.5, 1.5))
+        turned = Scan(slope, forward, height, scan.depth_m, scan.readings)
+        costs.append(_segment(turned)[2] + 2.0 * math.log1p((turn / CUT_TURN_STD_RAD) ** 2))
+    best = int(np.argmin(costs))
+    if not 0 < best < len(costs) - 1:
+        return CUT_TURNS_RAD[best]
+    left, middle, right = costs[best - 1 : best + 2]
+    shift = 0.5 * (left - right) / max(left - 2.0 * middle + right, 1e-9)
+    return CUT_TURNS_RAD[best] + shift * (CUT_TURNS_RAD[1] - CUT_TURNS_RAD[0])
 
 
 def _faces(
     first: np.ndarray,
     kind: np.ndarray,
-    slope: np.ndarray,
-    forward: np.ndarray,
-    height: np.ndarray,
-    readings: np.ndarray,
+    scan: Scan,
     omega_m: float,
 ) -> tuple[np.ndarray, list[int], list[float], list[tuple[int, int]]]:
     """Faces of enough rows, joined where of one kind and place: face of each row, kinds, values, row spans."""
-    face = np.full(len(slope), -1)
+    face = np.full(len(scan.slope), -1)
     kinds: list[int] = []
     values: list[float] = []
     spans: list[tuple[int, int]] = []
-    ends = np.append(first[1:], len(slope)).tolist()
+    ends = np.append(first[1:], len(scan.slope)).tolist()
     for begin, end, what in zip(first.tolist(), ends, kind.tolist()):
-        rows = begin + np.nonzero(readings[begin:end])[0]
+        rows = begin + np.nonzero(scan.readings[begin:end])[0]
         if what == UNKNOWN or len(rows) < MIN_FACE_ROWS:
             continue
-        value = median((height if what == TREAD else forward)[rows])
+        value = median((scan.height_m if what == TREAD else scan.forward_m)[rows])
         if kinds and kinds[-1] == what and abs(values[-1] - value) < omega_m:
             spans[-1] = (spans[-1][0], int(rows[-1]))
         else:
@@ -192,7 +246,7 @@ def _faces(
 
 
 def _edges(
-    kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray, omega_m: float
+    kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray
 ) -> tuple[ProfileEdge, ...]:
     """Edges between neighbouring faces that adjoin."""
     edges = []

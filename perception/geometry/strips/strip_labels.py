@@ -68,7 +68,7 @@ def choose_kinds(
         return np.argmin(unary, axis=1)
     pair = _pair_costs(tread, riser, line_slope, line_slope_std)  # (K - 1, near kind, far kind)
 
-    from perception.geometry import strip_kernels
+    from perception.geometry.strips import strip_kernels
 
     kernels: Any = strip_kernels
     kinds = np.empty(count, dtype=np.int64)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from perception.geometry.lines import median
-from perception.geometry.strip_labels import RISER, Candidate, choose_kinds
+from perception.geometry.strips.strip_labels import RISER, Candidate, choose_kinds
 from stair_env.intrinsics import Intrinsics
 
 COLUMN_BANDS = 27  # samples across a strip: the paper's nine sampling points, three columns each
@@ -37,6 +37,7 @@ PATCH_IMAGE_WIDTH_PX = 640.0  # of the image for which PATCH_PX holds
 ROBUST_CUT = 3.0  # residuals beyond this many standard deviations carry no weight
 MIN_POINTS = 24
 ITERATIONS = 2
+LINE_GATE_RAD = 0.02  # a line whose direction is farther from the others' says nothing about yaw
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,10 @@ class LineViews:
     rays: np.ndarray
     jittered_rays: np.ndarray
 
+    def chosen(self, index: np.ndarray) -> LineViews:
+        """Some of them."""
+        return LineViews(self.normals[index], self.direction_std[index], self.rays[index], self.jittered_rays[index])
+
     def slopes(self, camera_to_stair: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Height per forward metre of each line, (m,), and its standard deviation (m,)."""
         middle, jittered = self.rays @ camera_to_stair.T, self.jittered_rays @ camera_to_stair.T
@@ -103,7 +108,9 @@ def depth_std(depth_m: np.ndarray | float) -> np.ndarray:
     return DEPTH_SIGMA_PER_M2 * np.square(depth_m)
 
 
-def sample_strips(lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics) -> Strips:
+def sample_strips(
+    lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics, margin_px: float = EDGE_MARGIN_PX
+) -> Strips:
     """Read the depth between neighbouring lines, and beyond the first and the last.
 
     Args:
@@ -111,6 +118,7 @@ def sample_strips(lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics
             first.
         depth_m: (H, W) float, metres, 0 = no reading.
         intrinsics: of the depth image.
+        margin_px: how far from the lines depth is read, as far as a strip is not too thin for that.
 
     Returns:
         Strips with K = m + 1.
@@ -124,7 +132,7 @@ def sample_strips(lines: np.ndarray, depth_m: np.ndarray, intrinsics: Intrinsics
     y_low[0] = np.minimum(y_high[0] + OUTER_STRIP * height, height)
     y_high[-1] = np.maximum(y_low[-1] - OUTER_STRIP * height, 0.0)
     gap = y_low - y_high
-    margin = np.minimum(EDGE_MARGIN_PX, EDGE_MARGIN_FRACTION * gap)
+    margin = np.minimum(margin_px, EDGE_MARGIN_FRACTION * gap)
     t = (np.arange(ROW_SAMPLES) + 0.5) / ROW_SAMPLES
     y = (y_high + margin)[:, :, None] + (gap - 2.0 * margin)[:, :, None] * t
     return _read(x, y, gap, depth_m, intrinsics)
@@ -219,7 +227,7 @@ def explain_strips(strips: Strips, camera_to_stair: np.ndarray, rows: int) -> tu
         rows: samples per column.
     """
 
-    from perception.geometry import strip_kernels
+    from perception.geometry.strips import strip_kernels
 
     kernels: Any = strip_kernels
     answer = np.empty((2, len(strips.ok), 4))
@@ -255,12 +263,29 @@ def _solve_rotation(
         turned: (3,) rotation since the first guess.
         gravity_std_rad: of the first guess about f and l.
     """
+    normal, gradient = _equations(strips, fit.kind, fit.value, rotation, views)
+    prior = np.array([1.0, 1.0, 0.0]) / gravity_std_rad**2
+    normal += np.diag(prior + np.array([0.0, 0.0, 1.0 / math.radians(30.0) ** 2]))
+    gradient += prior * turned
+    cov = np.linalg.inv(normal)
+    step = -cov @ gradient
+    return np.clip(step, -0.1, 0.1), cov
+
+
+def _equations(
+    strips: Strips,
+    kind: np.ndarray,
+    value: np.ndarray,
+    rotation: np.ndarray,
+    views: LineViews,
+    line_gate_rad: float = LINE_GATE_RAD,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix (3, 3) and gradient (3,) of what faces and lines say about a small rotation about (f, l, h)."""
+    from perception.geometry.strips import strip_kernels
 
     normal, gradient = np.zeros((3, 3)), np.zeros(3)
-    from perception.geometry import strip_kernels
-
     kernels: Any = strip_kernels
-    kernels.normal_equations(*_points(strips, rotation), fit.kind, fit.value, normal, gradient)
+    kernels.normal_equations(*_points(strips, rotation), kind, value, normal, gradient)
     # The horizontal line in the plane with normal n runs along (n_l, -n_f, 0): its yaw error is n_l / n_f.
     n_f, n_l, n_h = rotation @ views.normals.T
     seen = np.abs(n_f) > 0.05  # a line at the horizon says nothing about yaw
@@ -269,16 +294,33 @@ def _solve_rotation(
     yaw_error = n_l / n_f
     sigma = np.hypot(direction_std / np.abs(n_f), 0.003)
     offset = np.abs(yaw_error - median(yaw_error)) if len(yaw_error) else yaw_error
-    line_weight = np.where(offset < 4.0 * sigma + 0.02, 1.0 / sigma**2, 0.0)
+    line_weight = np.where(offset < 4.0 * sigma + line_gate_rad, 1.0 / sigma**2, 0.0)
     normal += (rows * line_weight[:, None]).T @ rows
     gradient += rows.T @ (line_weight * yaw_error)
+    return normal, gradient
 
-    prior = np.array([1.0, 1.0, 0.0]) / gravity_std_rad**2
-    normal += np.diag(prior + np.array([0.0, 0.0, 1.0 / math.radians(30.0) ** 2]))
-    gradient += prior * turned
-    cov = np.linalg.inv(normal)
-    step = -cov @ gradient
-    return np.clip(step, -0.1, 0.1), cov
+
+def side_equations(
+    strips: Strips,
+    kind: np.ndarray,
+    value: np.ndarray,
+    camera_to_stair: np.ndarray,
+    views: LineViews,
+    line_gate_rad: float = LINE_GATE_RAD,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix (2, 2) and gradient (2,) of what faces and lines say about a small rotation about f and h alone.
+
+    Args:
+        strips: K sampled strips.
+        kind, value: (K,) what they show and where.
+        camera_to_stair: (3, 3) rotation into (f, l, h).
+        views: of the lines.
+        line_gate_rad: how far a line's direction may be from the others'.
+    """
+    normal, gradient = _equations(strips, kind, value, camera_to_stair, views, line_gate_rad)
+    sideways = [0, 2]
+    normal = normal[np.ix_(sideways, sideways)] + np.diag([0.0, 1.0 / math.radians(30.0) ** 2])
+    return normal, gradient[sideways]
 
 
 def _small_rotation(angles: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Compiled loops of `perception.geometry.strip_planes` and `perception.geometry.strip_labels`.
+"""Compiled loops of `perception.geometry.strips.strip_planes` and `perception.geometry.strips.strip_labels`.
 
 Importing this module loads numba: do so when a frame is measured, not at the top of a module. Arrays are float64, K
-strips of N points; coordinates are (f, l, h) as in `perception.geometry.strip_planes`.
+strips of N points; coordinates are (f, l, h) as in `perception.geometry.strips.strip_planes`.
 """
 
 from __future__ import annotations

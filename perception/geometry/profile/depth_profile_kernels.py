@@ -1,4 +1,4 @@
-"""Compiled loops of `perception.geometry.depth_profile`.
+"""Compiled loops of `perception.geometry.profile.depth_profile`.
 
 Importing this module loads numba: do so when a frame is measured, not at the top of a module.
 """
@@ -98,7 +98,7 @@ def segment(
     unknown_cost: float,
     first: np.ndarray,
     kind: np.ndarray,
-) -> int:
+) -> tuple[int, float]:
     """Cut the cross-section into treads, risers and unknown parts: the cheapest cut, by dynamic programming.
 
     Args:
@@ -112,7 +112,7 @@ def segment(
         kind: (J,) UNKNOWN, TREAD or RISER of each part; the first entries are written.
 
     Returns:
-        How many parts there are.
+        How many parts there are, and what the cut costs.
     """
     rows = len(forward)
     sums = np.zeros((2, 3, rows + 1))
@@ -148,7 +148,7 @@ def segment(
         count, end = count + 1, start[end]
     first[:count] = first[:count][::-1].copy()
     kind[:count] = kind[:count][::-1].copy()
-    return count
+    return count, best[rows]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,0 +1,1 @@
+"""Depth over the whole image as one cross-section: where it bends and where it jumps."""
