@@ -12,6 +12,7 @@ The width of the blur is the frame's *crease width*: readings nearer to a line t
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +24,7 @@ from perception.geometry.strips.strip_labels import RISER, SAME_FACE_M, TREAD, U
 
 NEAR_ROWS, FAR_ROWS = 120, 53  # of the strips before the first and behind the last line that are read
 CREASE_ROWS = (0.8, 2.0, 3.5, 5.5, 8.0, 11.0)  # standard deviations of the blur that are tried
-FATTENING_ROWS = (0.0, 1.5, 3.0, 4.5)  # by which what is in front hides what is behind a descending nosing
+FATTENING_ROWS = (1.5, 3.0, 4.5)  # by which what is in front hides what is behind a descending nosing
 NOISE = 0.006  # 1/m, of a row's inverse depth: 0.13 px at 447 px and 50 mm, what sub-pixel locking of a matcher leaves
 LEAST_NOISE = 0.002  # 1/m: the D435i's 0.08 px over the readings of a row
 ROWS_PER_READING = 30.0  # a matcher's waves are that long; measured: the pitch errs less than with 7, 14 or 60
@@ -146,18 +147,24 @@ def fit_rounded(
     if abs(alone - best.turn) > turn_std_rad:
         best = _better(best, _guess(rows, lines, best.direction, float(alone), turn_std_rad)) or best
     kind, direction = best.kind, best.direction
-    fits = [
-        (*_solve(rows, lines, kind, direction, width, best.turn, turn_std_rad, fattening), width)
-        for width in CREASE_ROWS
-        for fattening in (FATTENING_ROWS if direction < 0 else (0.0,))
-    ]
-    answer, inverse, covariance, width = min(fits, key=lambda fit: float(fit[0][1]))
+    solve = functools.partial(_solve, rows, lines, kind, direction, turn=best.turn, turn_std_rad=turn_std_rad)
+    fits = [(*solve(width=width), width) for width in CREASE_ROWS]
+    found = min(fits, key=_cost)
+    if direction < 0:
+        found = min(
+            [found, *((*solve(width=found[3], fattening=more), found[3]) for more in FATTENING_ROWS)], key=_cost
+        )
+    answer, inverse, covariance, width = found
     if width == CREASE_ROWS[-1]:  # so round that nothing is left of the steps: a ramp with stripes looks the same
         return None
     usual = float(answer[4]), float(answer[5])
     if not (np.isfinite(covariance).all() and np.isfinite(inverse).all() and _is_stairs(kind, *usual)):
         return None
     return _as_fit(answer, inverse, covariance, kind, lines, direction, width * image_height / ROWS)
+
+
+def _cost(found: tuple[np.ndarray, np.ndarray, np.ndarray, float]) -> float:
+    return float(found[0][1])
 
 
 @dataclass(frozen=True)
