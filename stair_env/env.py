@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -271,7 +270,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             self.time_s, self._base, self._reading, targets, action, self._truth, self._block, CONTROL_DT
         )
         termination = self.terminations.reason(state)
-        self.state = state if not termination else dataclasses.replace(state, termination=termination)
+        self.state = state if not termination else state._replace(termination=termination)
         terms = self.rewards.weighted(self.state)
         self._energy += state.joint_power_w * CONTROL_DT
         if termination and self.curriculum is not None:

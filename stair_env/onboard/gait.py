@@ -204,8 +204,10 @@ class Gait:
             (self._velocity_forward - speed) * style.capture_forward,
             self._velocity_left * style.capture_lateral,
         )
-        self._step_feet(frequency, speed, catch, modulation.clearance, dt)
-        self._follow_ground(dt)
+        self.phase = (self.phase + frequency * dt) % 1.0
+        progress = self._swing_progress()
+        self._step_feet(progress, frequency, speed, catch, modulation.clearance)
+        self._follow_ground(progress, dt)
         return self._kinematics.joint_angles(self._feet_in_base(modulation.pitch) + modulation.feet)
 
     def _update_map(self, block: StairBlock, forward: float, left: float, dt: float) -> None:
@@ -251,10 +253,14 @@ class Gait:
         return [((self.phase + offset) % 1.0) / self.config.swing_fraction for offset in self.config.leg_offsets]
 
     def _step_feet(
-        self, frequency: float, speed: float, catch: tuple[float, float], extra_clearance: float, dt: float
+        self,
+        swing_progress: list[float],
+        frequency: float,
+        speed: float,
+        catch: tuple[float, float],
+        extra_clearance: float,
     ) -> None:
-        self.phase = (self.phase + frequency * dt) % 1.0
-        for leg, progress in enumerate(self._swing_progress()):
+        for leg, progress in enumerate(swing_progress):
             if progress < 1.0:
                 if not self._in_swing[leg]:
                     self._lift(leg, frequency, speed, catch)
@@ -302,9 +308,9 @@ class Gait:
             ground + math.sin(math.pi * progress) ** 2 * (apex - ground),
         ]
 
-    def _follow_ground(self, dt: float) -> None:
+    def _follow_ground(self, swing_progress: list[float], dt: float) -> None:
         """Trunk height over the mean foothold and pitch along the local slope, both smoothed."""
-        ground = [self._ground_under(leg, progress) for leg, progress in enumerate(self._swing_progress())]
+        ground = [self._ground_under(leg, progress) for leg, progress in enumerate(swing_progress)]
         share = 1 - math.exp(-dt / self.config.smoothing_s)
         (x_1, _, z_1), (x_2, _, z_2), (x_3, _, z_3), (x_4, _, z_4) = ground
         self._height += share * ((z_1 + z_2 + z_3 + z_4) / 4 - self._height)

@@ -37,7 +37,8 @@ PHYSICS_RATE_HZ = 240
 SUBSTEPS = 5
 CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
 CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
-POSITION_GAIN, VELOCITY_GAIN = 0.03, 0.8  # Bullet's position motor, with velocities fed forward (docs/climbing.md)
+# Of Bullet's position motor, with velocities fed forward (docs/climbing.md).
+POSITION_GAINS, VELOCITY_GAINS = [0.03] * NUM_JOINTS, [0.8] * NUM_JOINTS
 FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
 SHAPE_COLOURS = {
     "floor": (0.62, 0.61, 0.58, 1.0),
@@ -47,7 +48,6 @@ SHAPE_COLOURS = {
     "stringer": (0.45, 0.36, 0.28, 1.0),
 }
 DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
-
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -94,8 +94,9 @@ class BaseTrack(NamedTuple):
 
     @property
     def last(self) -> BaseState:
-        """The newest state; without any step the one at the start."""
-        row = self.rows[-1] if len(self.rows) else self.start
+        """The newest state, read-only; without any step the one at the start."""
+        row = self.rows[-1] if len(self.rows) else self.start[:]
+        row.setflags(write=False)  # of this view of it
         return BaseState(
             position=row[POSITION:ROTATION],
             rotation=row[ROTATION:VELOCITY].reshape(3, 3),
@@ -227,12 +228,10 @@ class Simulation:
         infos = [client.getJointInfo(self.body, j) for j in range(client.getNumJoints(self.body))]
         joint_of = {info[1].decode(): info[0] for info in infos}
         link_of = {info[12].decode(): info[0] for info in infos}
-        for argument, names, known in (
-            ("joint_names", robot.joint_names, joint_of),
-            ("toe_names", robot.toe_names, link_of),
-        ):
-            for name in names:
-                check_choice(f"{argument} of robot {robot.name!r}", name, tuple(known))
+        for name in robot.joint_names:
+            check_choice(f"joint_names of robot {robot.name!r}", name, tuple(joint_of))
+        for name in robot.toe_names:
+            check_choice(f"toe_names of robot {robot.name!r}", name, tuple(link_of))
         self._joints = [joint_of[name] for name in robot.joint_names]
         toes = [link_of[name] for name in robot.toe_names]
         self._foot_of_link = {link: foot for foot, link in enumerate(toes)}
@@ -309,8 +308,8 @@ class Simulation:
             pybullet.POSITION_CONTROL,
             targetPositions=self._to_urdf(joint_angles).tolist(),
             targetVelocities=(self._signs * velocities).tolist(),
-            positionGains=[POSITION_GAIN] * NUM_JOINTS,
-            velocityGains=[VELOCITY_GAIN] * NUM_JOINTS,
+            positionGains=POSITION_GAINS,
+            velocityGains=VELOCITY_GAINS,
             forces=[strength * self.robot.max_torque] * NUM_JOINTS,
         )
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stair_env.common.validation import SpecError, check_choice
-from stair_env.task.step_state import FAILURES, StepState
+from stair_env.task.step_state import FAILURES, StepState, distance_to_edge
 
 WANTED_SPEED = 0.35  # m/s; going faster earns nothing
 NOSING_DANGER_M = 0.03
@@ -98,8 +98,8 @@ def riser_hit(state: StepState) -> float:
 
 def nosing(state: StepState) -> float:
     """Minus the number of feet that stand so close to an edge that they may slip off."""
-    near = [distance < NOSING_DANGER_M for distance in state.edge_distances]
-    return -float(sum(touches and close for touches, close in zip(state.contacts.touching.tolist(), near)))
+    edges, feet = state.episode.profile.plain[0], zip(state.contacts.touching.tolist(), state.feet[:, 0].tolist())
+    return -float(sum(touches and distance_to_edge(edges, x) < NOSING_DANGER_M for touches, x in feet))
 
 
 def step_bonus(state: StepState) -> float:

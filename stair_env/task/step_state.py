@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,8 +42,7 @@ class Episode:
     start_x: float
 
 
-@dataclass(frozen=True, eq=False)
-class StepState:
+class StepState(NamedTuple):
     """One control step. Nothing of it can be changed: the fields are frozen and the arrays read-only.
 
     Legs in the order FR, FL, RR, RL, three joints each (hip, upper, lower). The world frame is that of the stairs: x
@@ -102,24 +101,23 @@ class StepState:
         """(4, 3) mean velocity of each foot over the step, world frame, m/s."""
         return (self.feet - self.previous_feet) / self.dt_s
 
-    @cached_property
+    @property
     def joint_power_w(self) -> float:
         """Mechanical power of all joints, braking counted as work, W."""
         return float(np.dot(np.abs(self.joint_torques), np.abs(self.joint_velocities)))
 
-    @cached_property
+    @property
     def slope_rad(self) -> float:
         """Slope of the ground under the feet, positive where it rises ahead."""
         front_right, front_left, rear_right, rear_left = self.ground_under_feet
         front, rear = self.episode.robot.hip_x
         return math.atan2((front_right + front_left - rear_right - rear_left) / 2, front - rear)
 
-    @cached_property
+    @property
     def edge_distances(self) -> tuple[float, ...]:
         """Horizontal distance from each of the four feet to the nearest stair edge, m."""
         edges = self.episode.profile.plain[0]
-        near = [(x, max(bisect_left(edges, x) - 1, 0)) for x in self.feet[:, 0].tolist()]
-        return tuple(min(abs(edge - x) for edge in edges[before : before + 2]) for x, before in near)
+        return tuple(distance_to_edge(edges, x) for x in self.feet[:, 0].tolist())
 
 
 class StepRecorder:
@@ -133,7 +131,7 @@ class StepRecorder:
     def __init__(self, episode: Episode, action_size: int) -> None:
         self.episode = episode
         self._edges, self._levels = episode.profile.plain
-        self._no_action = _frozen(np.zeros(action_size))
+        self._no_action = np.zeros(action_size)
 
     def begin(
         self,
@@ -183,10 +181,10 @@ class StepRecorder:
         self._last_base, self._last_feet, self._last_action = base, reading.feet, action
         steps_climbed = max(self._steps_climbed, self._edges_behind(base))
         new_steps, self._steps_climbed = steps_climbed - self._steps_climbed, steps_climbed
-        for array in (*base, *reading.contacts[:2], reading.feet, *reading[:3], targets, action):
-            array.flags.writeable = False
+        for array in (*reading.contacts[:2], reading.feet, *reading[:3], targets, action):
+            array.setflags(write=False)
         edges, levels = self._edges, self._levels
-        right, left, rear_right, rear_left = (levels[bisect_right(edges, x)] for x in reading.feet[:, 0].tolist())
+        right, left, rear_right, rear_left = [levels[bisect_right(edges, x)] for x in reading.feet[:, 0].tolist()]
         return StepState(
             episode=self.episode,
             time_s=time_s,
@@ -215,14 +213,16 @@ class StepRecorder:
         return bisect_left(self._edges, float(base.position[0]))
 
 
+def distance_to_edge(edge_x: list[float], x: float) -> float:
+    """Return the horizontal distance from x to the nearest of ascending edges, metres."""
+    ahead = bisect_left(edge_x, x)
+    behind = edge_x[ahead - 1] if ahead else edge_x[0]
+    return min(abs(behind - x), abs(edge_x[min(ahead, len(edge_x) - 1)] - x))
+
+
 def riser_hits(contacts: FootContacts) -> list[bool]:
     """Which of the four feet run into something upright."""
     return [
         touches and math.hypot(x, y) > max(RISER_HIT_RATIO * abs(z), RISER_HIT_MIN_N)
         for touches, (x, y, z) in zip(contacts.touching.tolist(), contacts.force.tolist())
     ]
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array

@@ -1,7 +1,5 @@
 """A control step in the middle of a flight, to change as a test needs."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -45,6 +43,6 @@ def make_state():
         recorder.begin(base(x - travel), still, np.zeros(12), NO_STAIRS, NO_STAIRS, DT)
         action = np.zeros(16) if action is None else np.array(action)
         state = recorder.record(DT, base(x, **places), moved, np.zeros(12), action, NO_STAIRS, NO_STAIRS, DT)
-        return dataclasses.replace(state, **changes)
+        return state._replace(**changes)
 
     return make

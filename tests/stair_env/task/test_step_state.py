@@ -30,19 +30,18 @@ def walked():
 
 def test_fields_are_frozen_and_arrays_read_only(walked):
     for state in (walked[0][0], walked[0][-1]):
-        with pytest.raises(dataclasses.FrozenInstanceError):
+        with pytest.raises(AttributeError):
             state.time_s = 0.0
         with pytest.raises(dataclasses.FrozenInstanceError):
             state.episode.start_x = 0.0
-        found = [array for field in dataclasses.fields(state) for array in arrays_of(getattr(state, field.name))]
+        found = [array for value in state for array in arrays_of(value)]
         assert len(found) == 18 and not any(array.flags.writeable for array in found)
         with pytest.raises(ValueError, match="read-only"):
             state.feet[0, 0] = 1.0
 
 
 def test_every_field_is_documented():
-    for field in dataclasses.fields(StepState):
-        assert field.name in StepState.__doc__
+    assert all(name in StepState.__doc__ for name in StepState._fields)
 
 
 def test_steps_follow_each_other(walked):
