@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,8 +17,10 @@ import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
+from stair_env.common.console import stdout_to_stderr
 from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.physics.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
+from stair_env.physics.display import display_problem
 from stair_env.robots import NUM_JOINTS, RobotSpec
 from stair_env.scene.shapes import Shape
 
@@ -42,9 +43,22 @@ DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
 _LOGGER = logging.getLogger(__name__)
 
 
-def has_display() -> bool:
-    """Whether a window can be opened; Bullet waits for ever for one that cannot."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
+class _Client(BulletClient):
+    """A Bullet client that prints nothing on standard output, which belongs to the program that runs the simulation.
+
+    Args:
+        mode: `pybullet.GUI` or `pybullet.DIRECT`.
+    """
+
+    def __init__(self, mode: int) -> None:
+        self._shapes: dict[Any, Any] = {}
+        self._pid = os.getpid()
+        self._client = -1
+        if mode == pybullet.DIRECT:
+            self._client = pybullet.connect(mode)  # without an options string, which would be echoed
+            return
+        with stdout_to_stderr():
+            self._client = pybullet.connect(mode)
 
 
 class BaseState(NamedTuple):
@@ -114,11 +128,12 @@ class Simulation:
 
     def __init__(self, robot: RobotSpec, gui: bool = False, visible: bool = True) -> None:
         self.robot = robot
-        self._gui = gui and has_display()
-        if gui and not self._gui:
-            _LOGGER.warning("no display (DISPLAY is not set): the simulation runs without a window")
+        problem = display_problem() if gui else None
+        self._gui = gui and problem is None
+        if problem is not None:
+            _LOGGER.warning("no display (%s): the simulation runs without a window", problem)
         self._visible = visible or self._gui
-        self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
+        self.client: BulletClient = _Client(pybullet.GUI if self._gui else pybullet.DIRECT)
         self.body = -1
         self.ground: list[int] = []
         self._last_targets = np.zeros(NUM_JOINTS)
