@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
 from stair_env.common.pickling import PicklesByArguments
-from stair_env.common.validation import SpecError, check_choice
+from stair_env.common.validation import SpecError, check_choice, read_action
 from stair_env.observation import PRIVILEGED_KEY, StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.onboard.attitude import AttitudeFilter, base_to_level
 from stair_env.onboard.gait import ACTION_SIZE, Gait
@@ -27,9 +27,9 @@ from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import read_curriculum
 from stair_env.task.privileged import Truth, pack_privileged, privileged_space
 from stair_env.task.randomization import read_randomization
-from stair_env.task.rewards import StepOutcome, read_weights, reward_terms, riser_hits
+from stair_env.task.rewards import REWARD_TERMS, StepOutcome, read_weights, reward_terms, riser_hits
 from stair_env.task.sources import ExternalSource, HipPose, make_source, true_block
-from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, standing_at
+from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, read_reset_options, standing_at
 from stair_env.task.stair_ranges import StairRanges
 from stair_env.task.termination import FAILURES, Judge
 
@@ -102,7 +102,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
-        self.camera_options = dict(camera or {})
+        if camera is not None:  # of no matter here, but a wrong option is one on every id
+            from stair_env.sensors.camera.sensor import CameraConfig
+
+            CameraConfig.from_dict(camera)
         self.render_mode = render_mode
         self.randomization = read_randomization(randomization)
         self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
@@ -134,18 +137,17 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             options: "stairs": a StairSpec or its dict, to climb this very staircase;
                 "x", "y", "yaw": where the base starts.
         """
+        given, start = read_reset_options(options)
         super().reset(seed=seed)
-        options = options or {}
-        for name in options:
-            check_choice("option", name, ("stairs", "x", "y", "yaw"))
         if self.curriculum is not None and self._unreported:
             self.curriculum.report(False)  # it ran out of time
-        self.stairs = self._draw_stairs(options.get("stairs"))
+        drawn = self.ranges.draw(self.np_random, self.curriculum)
+        self.stairs = drawn if given is None else given
         self.profile = self.stairs.profile()
         spawn = draw_spawn(self.stairs, self.robot, self.spawn, self.np_random)
-        if {"x", "y", "yaw"} & set(options):
-            defaults = {"x": spawn.position[0], "y": spawn.position[1], "yaw": spawn.yaw}
-            spawn = standing_at(self.stairs, self.robot, **{k: float(options.get(k, v)) for k, v in defaults.items()})
+        if start:
+            drawn_start = {"x": float(spawn.position[0]), "y": float(spawn.position[1]), "yaw": spawn.yaw}
+            spawn = standing_at(self.stairs, self.robot, **(drawn_start | start))
         self._body = self.randomization.draw(self.np_random)
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
         seeds = self.np_random.integers(0, 2**63, size=4)
@@ -158,13 +160,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._judge = Judge(self.stairs, self.profile, self.robot, float(spawn.position[0]))
         self._steps_climbed = self._judge.steps_behind(float(self._state.position[0]))
         self._unreported = False
-        return self._observation(), self._info({}, {})
-
-    def _draw_stairs(self, given: Any) -> StairSpec:
-        drawn = self.ranges.draw(self.np_random, self.curriculum)
-        if given is None:
-            return drawn
-        return given if isinstance(given, StairSpec) else StairSpec.from_dict(given)
+        return self._observation(), self._info(dict.fromkeys(REWARD_TERMS, 0.0), "")
 
     def _start(self, spawn: Spawn, shapes: tuple[Shape, ...], imu_rng: np.random.Generator) -> None:
         """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest."""
@@ -215,9 +211,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         """One control step of 1/48 s."""
         if self._sim is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)
-        if action.shape != (self.action_size,):
-            raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
+        action = np.minimum(np.maximum(read_action(action, (self.action_size,)), -1.0), 1.0)
         before = self._state
         self._unreported = True
         self._move(action)
@@ -247,7 +241,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         if termination and self.curriculum is not None:
             self.curriculum.report(termination == "success")
             self._unreported = False
-        info = self._info(terms, {"termination": termination} if termination else {})
+        info = self._info(terms, termination)
         if self.render_mode == "human":
             self.render()
         return self._observation(), float(sum(terms.values())), bool(termination), False, info
@@ -350,23 +344,24 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         truth = Truth(self._truth, self.profile, self._state, self._contacts, self._feet, radius, self._body)
         return {PRIVILEGED_KEY: pack_privileged(truth)}
 
-    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
+    def _info(self, terms: dict[str, float], termination: str) -> dict[str, Any]:
+        """What is told beside the observation: the same keys and types at reset and at every step."""
         info: dict[str, Any] = {
-            "is_success": extra.get("termination") == "success",
+            "is_success": termination == "success",
             "steps_climbed": self._steps_climbed,
             "reward_terms": terms,
+            "termination": termination,
             "truth": {
                 **self._truth._asdict(),
-                "riser_height": self.stairs.riser_height,
-                "tread_depth": self.stairs.tread_depth,
+                "riser_height": float(self.stairs.riser_height),
+                "tread_depth": float(self.stairs.tread_depth),
                 "num_steps": len(self.profile.edge_x),
-                "position": self._state.position.tolist(),
-                "velocity": self._state.velocity.tolist(),
+                "position": self._state.position.copy(),
+                "velocity": self._state.velocity.copy(),
                 "yaw": self._state.yaw,
                 "riser_hits": self._riser_hits,
                 "energy_j": self._energy,
             },
-            **extra,
         }
         if self.curriculum is not None:
             info["curriculum_level"] = self.curriculum.level

@@ -112,8 +112,8 @@ class StairClimbRgbdEnv(StairClimbEnv):
             **self._privileged(),
         }
 
-    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
-        info = super()._info(terms, extra)
+    def _info(self, terms: dict[str, float], termination: str) -> dict[str, Any]:
+        info = super()._info(terms, termination)
         info["camera"] = {
             "frame": self._reading.frame_index,
             "captured_at_s": self._reading.captured_at_s,

@@ -36,7 +36,7 @@ FLOW = (
     "stair_env.observation",
     "stair_env.onboard stair_env.task stair_env.vectorized",
     "stair_env.env stair_env.vector",
-    "stair_env.rgbd",
+    "stair_env.rgbd stair_env.entry_points",
     "perception.network",
     "perception.inference perception.geometry",
     "perception.tracking perception.estimator perception.drawing",
@@ -47,7 +47,8 @@ FLOW = (
     "perception.learning",
     "perception.reproduction perception.reproduction.baselines",
     "perception.reproduction.tables_2_3_6",
-    "policies.statistics policies.hyperparams policies.features policies.vec_adapter",
+    "policies.statistics policies.hyperparams policies.features policies.vec_adapter policies.saved_models",
+    "policies.portable",
     "policies.rollout policies.make_env",
     "policies.report",
     "policies.train",
@@ -162,7 +163,7 @@ def test_folders_stay_small() -> None:
 def test_files_stay_short() -> None:
     texts = {name: path.read_text() for name, path in MODULES.items()}
     # Compiled code stays in one file: numba's cache watches only the file that a function stands in.
-    long = [name for name, text in texts.items() if text.count("\n") > MAX_LINES and "from numba import" not in text]
+    long = [name for name, text in texts.items() if text.count("\n") > MAX_LINES and "import njit" not in text]
     assert not long
 
 

@@ -45,6 +45,31 @@ def as_range(name: str, value: object, low: float, high: float) -> tuple[float, 
     return float(ends[0]), float(ends[1])
 
 
+def read_action(value: Any, shape: tuple[int, ...], name: str = "action") -> np.ndarray:
+    """Read an action (float64), or one for each environment of a vector.
+
+    Args:
+        value: what the caller passed.
+        shape: that it must have.
+        name: of the argument, in messages.
+
+    Raises:
+        ValueError: it has another shape, or holds what is no finite number; one NaN would pass through every clip into
+            observations, rewards and the statistics of whoever normalises them.
+    """
+    try:
+        action = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}={value!r} must hold numbers, of shape {shape}: {error}") from None
+    if action.shape != shape:
+        raise ValueError(f"{name} has shape {action.shape}, must be {shape}")
+    if not np.isfinite(action).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(action))[0])
+        where = index[0] if len(index) == 1 else index
+        raise ValueError(f"{name} holds {action[index]} at index {where}, must be finite")
+    return action
+
+
 def from_fields(cls: type, values: Any, what: str = "") -> Any:
     """Build dataclass cls from a dict of its fields, of which any may be left out that has a default.
 
