@@ -46,6 +46,7 @@ class Policy:
         self.card = dict(card)
         self.algorithm, self._model = model
         self._normalisation = normalisation
+        self._flattened: gym.spaces.Dict | None = None  # what the environment gives, to a policy that reads one vector
         self.observation_space: gym.Space = self._model.observation_space
         self.action_space: gym.Space = self._model.action_space
 
@@ -63,6 +64,8 @@ class Policy:
         Returns:
             (action float32, state), as SB3's `predict`.
         """
+        if self._flattened is not None:
+            observation = flatten(self._flattened, observation)
         if self._normalisation is not None:
             observation = self._normalisation.normalize_obs(observation)
         return self._model.predict(observation, state, episode_start, deterministic)
@@ -70,11 +73,18 @@ class Policy:
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.
 
+        A policy that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
+
         Raises:
             PolicyError: naming the space and both sides of the difference.
         """
+        whole = env.observation_space
+        if isinstance(whole, gym.spaces.Dict) and isinstance(self.observation_space, gym.spaces.Box):
+            self._flattened = whole if self.observation_space == gym.spaces.flatten_space(whole) else None
         for kind in ("observation_space", "action_space"):
             trained, given = getattr(self, kind), getattr(env, kind)
+            if given is self._flattened and self._flattened is not None:
+                continue
             difference = describe_difference(trained, given)
             if difference:
                 raise PolicyError(f"policy {self.name!r} does not fit the environment: {kind} {difference}")
@@ -203,6 +213,16 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
         temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     write_card(target, name, card, curve, evaluations)
     return target
+
+
+def flatten(space: gym.spaces.Dict, observation: Mapping[str, Any]) -> np.ndarray:
+    """One vector of an observation, as `FlattenObservation` makes it, or one row for each of a batch."""
+    parts = []
+    for key, part in space.spaces.items():
+        values = np.asarray(observation[key])
+        batch = values.shape[: values.ndim - len(part.shape or ())]
+        parts.append(values.reshape(*batch, -1))
+    return np.concatenate(parts, axis=-1)
 
 
 def describe_difference(trained: gym.Space, given: gym.Space) -> str:

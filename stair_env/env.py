@@ -302,6 +302,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._truth = true_block(self.stairs, self.profile, hips)
         self._block = self.source.read(hips, self._truth)
 
+    def end_curriculum(self) -> None:
+        """From the next episode on draw from the whole range of stairs, as an evaluation should."""
+        self.curriculum = None
+
     def provide_stair(self, block: StairBlock | np.ndarray) -> None:
         """Give the stair block that the gait reads at the next step (stair_source="external").
 

@@ -29,8 +29,15 @@ def import_sibling(name: str) -> ModuleType:
     Raises:
         ShadowedPackageError: another package has its name.
     """
-    check_sibling(name.partition(".")[0])
-    return importlib.import_module(name)
+    package = name.partition(".")[0]
+    try:
+        module = importlib.import_module(name)
+    except ImportError:
+        check_sibling(package)
+        raise
+    if not Path(str(module.__file__)).resolve().is_relative_to(ROOT / package):
+        check_sibling(package)
+    return module
 
 
 def check_sibling(package: str) -> None:
