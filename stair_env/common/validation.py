@@ -86,7 +86,24 @@ def from_fields(cls: type, values: Any, what: str = "") -> Any:
     names = tuple(entry.name for entry in dataclasses.fields(cls))
     for name in values:
         check_choice(f"{what} field".strip(), name, names)
-    return cls(**values)
+    return build(cls, values, what)
+
+
+def build(cls: type, values: Mapping[str, Any], what: str = "") -> Any:
+    """Build dataclass cls from known fields.
+
+    Raises:
+        SpecError: one that has no default is missing, or a value is of a kind that the class cannot even look at.
+    """
+    absent = dataclasses.MISSING
+    required = [f.name for f in dataclasses.fields(cls) if f.default is absent and f.default_factory is absent]
+    missing = [name for name in required if name not in values]
+    if missing:
+        raise SpecError(f"{what or cls.__name__} lacks the field {missing[0]!r}")
+    try:
+        return cls(**values)
+    except (TypeError, AttributeError, OverflowError) as error:
+        raise SpecError(f"{what or cls.__name__} field of a wrong kind in {dict(values)!r}: {error}") from None
 
 
 class JsonSpec:
@@ -136,4 +153,4 @@ def from_mapping(name: str, cls: type, value: Any) -> Any:
         raise SpecError(f"{name}={value!r} must be None, True or a mapping with any of {', '.join(fields)}")
     for key in value:
         check_choice(f"{name} field", key, fields)
-    return cls(**value)
+    return build(cls, value, name)
