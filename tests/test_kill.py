@@ -19,23 +19,21 @@ pytestmark = pytest.mark.slow
 
 KILLS = 20
 LONGEST_RUN_S = 600.0
-COMMANDS: dict[str, tuple[list[str], list[str]]] = {  # arguments, and those that go on after a kill
-    "dataset": (["--output", "set", "--train", "40", "--val", "4", "--test", "4", "--json", "result.json"], []),
-    "evaluate": (
-        ["--source", "gait,oracle", "--stairs", "random", "--direction", "up", "--episodes", "6", "--workers", "1"]
-        + ["--json", "result.json"],
-        ["--resume"],
-    ),
-    "train": (
-        ["--output", "run", "--timesteps", "1024", "--num-envs", "1", "--checkpoint-every", "256", "--vec", "dummy"]
-        + ["--set", '{"n_steps": 128, "batch_size": 64, "n_epochs": 1}', "--json", "result.json"],
-        ["--resume"],
-    ),
+# Arguments of each command, and those with which it goes on after a kill.
+DATASET = "--output set --train 40 --val 4 --test 4"
+EVALUATE = "--source gait,oracle --stairs random --direction up --episodes 6 --workers 1"
+TRAIN = "--output run --timesteps 1024 --num-envs 1 --checkpoint-every 256 --vec dummy"
+SMALL = ["--set", '{"n_steps": 128, "batch_size": 64, "n_epochs": 1}']
+COMMANDS: dict[str, tuple[list[str], list[str]]] = {
+    "dataset": (DATASET.split(), []),
+    "evaluate": (EVALUATE.split(), ["--resume"]),
+    "train": ([*TRAIN.split(), *SMALL], ["--resume"]),
 }
 
 
 def start(name: str, folder: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-W", "ignore", "-m", "stair_env_cli.main", name, *COMMANDS[name][0], *more]
+    command = [sys.executable, "-W", "ignore", "-m", "stair_env_cli.main", name, "--json", "result.json"]
+    command += [*COMMANDS[name][0], *more]
     root = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
