@@ -188,3 +188,11 @@ def loaded_after(code: str) -> set[str]:
 )
 def test_light_entry_points_load_nothing_heavy(code: str) -> None:
     assert not loaded_after(code) & set(HEAVY)
+
+
+def test_kernels_are_cached_outside_the_package() -> None:
+    ours = "stair_env.common.compiling"
+    strangers = [
+        name for name, path in MODULES.items() if name != ours and "from numba import njit" in path.read_text()
+    ]
+    assert not strangers, f"{strangers} should import njit from {ours}"

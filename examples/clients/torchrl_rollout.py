@@ -19,6 +19,9 @@ if __name__ == "__main__":
     rollout = one.rollout(5)
     print("with infos:", rollout["next", "truth_yaw"].shape)
     one.close()
-    two = GymWrapper(AsyncVectorEnv([make, make]))
+    two = GymWrapper(AsyncVectorEnv([make, make], autoreset_mode="Disabled"))  # TorchRL resets by itself
     print("two in processes:", two.rollout(5)["next", "reward"].shape)
     two.close()
+    workers = GymWrapper(gym.make_vec(ENV_ID, num_envs=2, autoreset_mode="Disabled"))
+    print("two in our workers:", workers.rollout(5)["next", "reward"].shape)
+    workers.close()

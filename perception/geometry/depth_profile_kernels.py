@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 UNKNOWN, TREAD, RISER = 0, 1, 2
 

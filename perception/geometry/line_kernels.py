@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 COLUMNS = 16
 COLUMN_WIDTH_PX = 32.0

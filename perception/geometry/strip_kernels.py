@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 TREAD, RISER = 1, 2
 SCATTER_FLOOR = 0.2  # added to the median residual: exact depth must not divide by zero

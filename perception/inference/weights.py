@@ -10,8 +10,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
 from stair_env.common.console import quiet
+from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
 from stair_env.common.files import atomic_path
 
 if TYPE_CHECKING:

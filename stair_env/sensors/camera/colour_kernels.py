@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 CELL_PX = 8  # side of the squares over which texture and brightness are averaged
 _HIDDEN = np.float32(0.0)

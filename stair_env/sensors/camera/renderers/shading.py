@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 TILE = 16  # pixels, as in `visibility`, so that a row of tiles needs no other row's depth
 AREA = TILE * TILE

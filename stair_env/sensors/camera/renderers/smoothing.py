@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 TILE = 16  # pixels, as in `visibility`
 SAMPLES = 4

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stair_env.common.kernels import njit
+from stair_env.common.compiling import njit
 
 BOX, SPHERE, CYLINDER, CAPSULE = 0, 1, 2, 3
 TILE = 16  # pixels

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stair_env.common import kernels
+from stair_env.common import compiling
 
 MODULE = textwrap.dedent(
     """
     from numba import float64
-    from stair_env.common.kernels import njit
+    from stair_env.common.compiling import njit
 
     @njit(cache=True, nogil=True)
     def twice(x):
@@ -35,9 +35,9 @@ MODULE = textwrap.dedent(
 
 def run(tmp_path: Path, **environment: str) -> subprocess.CompletedProcess:
     (tmp_path / "doubled.py").write_text(MODULE)
-    root = str(Path(kernels.__file__).parents[2])
+    root = str(Path(compiling.__file__).parents[2])
     kept = {
-        name: value for name, value in os.environ.items() if name not in (kernels.CACHE_VARIABLE, "NUMBA_CACHE_DIR")
+        name: value for name, value in os.environ.items() if name not in (compiling.CACHE_VARIABLE, "NUMBA_CACHE_DIR")
     }
     return subprocess.run(
         [sys.executable, "doubled.py"],
@@ -74,22 +74,22 @@ def test_where_no_cache_can_be_written_there_is_a_spare_one_and_one_warning(tmp_
     spare.mkdir()
     done = run(tmp_path, XDG_CACHE_HOME=str(tmp_path / "file"), TMPDIR=str(spare))
     assert done.stdout == "4.0 6.0 0\n" and done.stderr.count("CacheWarning") == 1
-    assert kernels.CACHE_VARIABLE in done.stderr and list(spare.rglob("*.nbi"))
+    assert compiling.CACHE_VARIABLE in done.stderr and list(spare.rglob("*.nbi"))
 
 
 def test_where_nothing_at_all_can_be_written_kernels_are_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kernels.cache_folder.cache_clear()
-    monkeypatch.delenv(kernels.CACHE_VARIABLE, raising=False)
+    compiling.cache_folder.cache_clear()
+    monkeypatch.delenv(compiling.CACHE_VARIABLE, raising=False)
     monkeypatch.setattr(kernels, "_is_usable", lambda *args, **kwargs: False)
-    with pytest.warns(kernels.CacheWarning, match="compiled anew"):
-        assert kernels.cache_folder() is None
-    doubled = kernels.njit(cache=True)(lambda x: x + x)
+    with pytest.warns(compiling.CacheWarning, match="compiled anew"):
+        assert compiling.cache_folder() is None
+    doubled = compiling.njit(cache=True)(lambda x: x + x)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert np.array_equal(doubled(np.arange(3)), [0, 2, 4])
-    kernels.cache_folder.cache_clear()
+    compiling.cache_folder.cache_clear()
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="about owners")
@@ -97,8 +97,8 @@ def test_a_spare_cache_that_others_can_write_is_not_used(tmp_path: Path) -> None
     folder = tmp_path / "spare"
     folder.mkdir()
     folder.chmod(0o777)  # whoever writes a cache has it run
-    assert not kernels._is_usable(folder, private=True)
+    assert not compiling._is_usable(folder, private=True)
     link = tmp_path / "link"
     link.symlink_to(tmp_path)
-    assert not kernels._is_usable(link, private=True)
-    assert kernels._is_usable(tmp_path / "own", private=True)
+    assert not compiling._is_usable(link, private=True)
+    assert compiling._is_usable(tmp_path / "own", private=True)
