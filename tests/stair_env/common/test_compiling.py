@@ -82,7 +82,7 @@ def test_where_nothing_at_all_can_be_written_kernels_are_compiled(
 ) -> None:
     compiling.cache_folder.cache_clear()
     monkeypatch.delenv(compiling.CACHE_VARIABLE, raising=False)
-    monkeypatch.setattr(kernels, "_is_usable", lambda *args, **kwargs: False)
+    monkeypatch.setattr(compiling, "_is_usable", lambda *args, **kwargs: False)
     with pytest.warns(compiling.CacheWarning, match="compiled anew"):
         assert compiling.cache_folder() is None
     doubled = compiling.njit(cache=True)(lambda x: x + x)
