@@ -10,11 +10,13 @@ STAMP := $(VENV)/.installed
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow lint bench clean
+.PHONY: help install demo test test-slow test-clients test-lowest lint bench clean
 
 help:
 	@echo "make demo       the shipped policy climbs on what its camera sees; writes a video"
 	@echo "make test       the test suite (make test-slow: training and soak tests)"
+	@echo "make test-clients  the recipes of examples/clients with the libraries that they are for"
+	@echo "make test-lowest   core tests with the lowest versions that pyproject.toml allows"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      time ratios against bare PyBullet and naive chains"
 	@echo "make install    only the virtual environment $(VENV)"
@@ -36,6 +38,20 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -m slow -q tests
 
+# Environments of their own: these libraries, and these versions, are not those of the project. Of our constraints the
+# clients leave out filelock, of which Tianshou's virtualenv wants an older one.
+test-clients:
+	$(PYTHON) -m venv .venv-clients
+	grep -v '^filelock==' constraints.txt > .venv-clients/constraints.txt
+	.venv-clients/bin/python -m pip install --quiet -c .venv-clients/constraints.txt -e . $(foreach file,$(wildcard examples/clients/*.txt),-r $(file))
+	$(ONE_THREAD) .venv-clients/bin/python -W ignore examples/clients/run_all.py results/clients.md
+
+LOWEST_TESTS := tests/stair_env/test_env.py tests/stair_env/test_vector.py tests/policies/test_pretrained.py tests/perception/test_wrapper.py
+test-lowest:
+	$(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet -c lowest.txt -e . pytest hypothesis
+	$(ONE_THREAD) .venv-lowest/bin/python -m pytest -q $(LOWEST_TESTS)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -45,4 +61,4 @@ bench: $(STAMP)
 	$(BIN)/stair-env bench
 
 clean:
-	rm -rf $(VENV) runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-clients .venv-lowest runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -6,6 +6,7 @@ from typing import Any
 
 from perception.vector_wrapper import PerceptionVectorWrapper
 from perception.wrapper import PerceptionWrapper
+from stair_env.common.validation import SpecError
 from stair_env.rgbd import StairClimbRgbdEnv
 from stair_env.vector import make_rgbd_vec
 
@@ -22,6 +23,7 @@ def make_perception_env(estimator: dict[str, Any] | None = None, **kwargs: Any) 
     """
     from perception.estimator import StairEstimator
 
+    _check_source(kwargs)
     env = StairClimbRgbdEnv(**{**kwargs, "stair_source": "external"})
     return PerceptionWrapper(env, StairEstimator(**(estimator or {})))
 
@@ -42,6 +44,7 @@ def make_perception_vec(
     """
     from perception.estimator import StairEstimator
 
+    _check_source(kwargs)
     vector = make_rgbd_vec(num_envs, **{**kwargs, "stair_source": "external"})
     try:
         robot, intrinsics = vector.get_attr("robot")[0], vector.get_attr("camera_intrinsics")[0]
@@ -49,3 +52,12 @@ def make_perception_vec(
     except BaseException:
         vector.close()
         raise
+
+
+def _check_source(kwargs: dict[str, Any]) -> None:
+    """Refuse a stair source that the camera would stand in for."""
+    if kwargs.get("stair_source", "external") != "external":
+        raise SpecError(
+            f"stair_source={kwargs['stair_source']!r} must be 'external' (or left out): here the camera fills the "
+            'stair block; other sources are for "stair_env/StairClimb-v0"'
+        )

@@ -55,6 +55,7 @@ class PerceptionVectorWrapper(VectorWrapper):
         if not hasattr(env, "provide_stairs") and not hasattr(env, "envs"):
             raise ValueError(f"{env} can hand no stair block to its environments: it needs provide_stairs(blocks)")
         single = perceived_space(parts)
+        self.autoreset_mode = env.metadata.get("autoreset_mode")
         self.single_observation_space = single
         self.observation_space = batch_space(single, env.num_envs)
         self.estimator = estimator if estimator is not None else StairEstimator()
@@ -79,6 +80,21 @@ class PerceptionVectorWrapper(VectorWrapper):
         if "final_obs" in infos:
             self._perceive_ends(infos)
         return self._perceive(observations, infos), rewards, terminations, truncations, infos
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every environment, or read an attribute."""
+        vector: Any = self.env
+        called: tuple[Any, ...] = vector.call(name, *args, **kwargs)
+        return called
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of every environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of every environment: a list or tuple holds one value each, anything else is for all."""
+        vector: Any = self.env
+        vector.set_attr(name, values)
 
     def _perceive(self, observations: dict[str, np.ndarray], infos: dict[str, Any]) -> dict[str, np.ndarray]:
         present = np.flatnonzero(infos["_camera"]).tolist()  # all, but for a reset of some

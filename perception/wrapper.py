@@ -28,6 +28,7 @@ from stair_env.robots import RobotSpec, mount_to_base
 
 CONSUMED_KEYS = ("imu", "rgb", "depth")
 NEEDED_KEYS = ("proprio", *CONSUMED_KEYS)
+REPORTED_STEPS = 8  # rows of `info["perceived"]["steps_mm"]`: more are never in view
 BODY_MEMORY = 96  # control steps: longer than the camera's latency
 
 
@@ -177,14 +178,20 @@ def perceived_observation(observation: Mapping[str, np.ndarray], block: np.ndarr
 
 
 def perceived_info(block: StairBlock, estimate: StairEstimate, frame: int) -> dict[str, Any]:
-    """What `info["perceived"]` holds: plain numbers, equal for equal rollouts."""
-    steps = estimate.steps
+    """What `info["perceived"]` holds: the same keys, types and shapes at every step, equal for equal rollouts.
+
+    `steps_mm` has a row (width, height) for each of the `steps` nearest steps, and rows of zeros after them.
+    """
+    steps = [[1000.0 * step.width_m, 1000.0 * step.height_m] for step in estimate.steps[:REPORTED_STEPS]]
+    sizes = np.zeros((REPORTED_STEPS, 2))
+    sizes[: len(steps)] = np.round(np.reshape(steps, (-1, 2)), 2)
     return {
-        "block": block.as_array().tolist(),
-        "frame": frame,
-        "valid": estimate.valid,
-        "direction": estimate.direction,
-        "steps_mm": [[round(1000.0 * step.width_m, 2), round(1000.0 * step.height_m, 2)] for step in steps],
-        "next_edge_m": estimate.next_edge_m,
+        "block": block.as_array(),
+        "frame": int(frame),
+        "valid": bool(estimate.valid),
+        "direction": int(estimate.direction),
+        "steps": len(steps),
+        "steps_mm": sizes,
+        "next_edge_m": float(estimate.next_edge_m),
         "yaw_deg": math.degrees(estimate.yaw_rad),
     }

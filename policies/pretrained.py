@@ -1,31 +1,30 @@
 """Policies that come with the package, loaded by name.
 
-A policy file is a pickle, and a pickle runs code. Shipped files are therefore read once, compared with the SHA-256 in
-`weights/manifest.json`, and unpickled from those same bytes. A path of your own is not in the manifest: naming it means
-trusting it.
+Shipped files are read once, compared with the SHA-256 in `weights/manifest.json`, and loaded from those same bytes.
+Nothing in a file is run, be it foreign (`policies.saved_models`): a policy with classes of your own needs trusted=True.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import pickle
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from policies.portable import portable
+from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
 
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "card.json"
+ARGUMENTS_FILE, BEST_FILE = "args.yml", "best_model.zip"  # of rl_zoo3's runs
 
 
 class PolicyError(ValueError):
@@ -38,16 +37,18 @@ class Policy:
     Attributes:
         name: shipped name, or the folder it came from.
         card: how it was trained and how well it does.
+        algorithm: that trained it, a name in `policies.saved_models.ALGORITHMS`.
         observation_space, action_space: what it was trained on.
     """
 
-    def __init__(self, name: str, model: BaseAlgorithm, normalisation: Any, card: Mapping[str, Any]) -> None:
+    def __init__(self, name: str, model: SavedModel, normalisation: Any, card: Mapping[str, Any]) -> None:
         self.name = name
         self.card = dict(card)
-        self._model = model
+        self.algorithm, self._model = model
         self._normalisation = normalisation
-        self.observation_space: gym.Space = model.observation_space
-        self.action_space: gym.Space = model.action_space
+        self._flattened: gym.spaces.Dict | None = None  # what the environment gives, to a policy that reads one vector
+        self.observation_space: gym.Space = self._model.observation_space
+        self.action_space: gym.Space = self._model.action_space
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -56,12 +57,15 @@ class Policy:
 
         Args:
             observation: an observation of `observation_space`, with or without a leading batch axis.
-            state, episode_start: as in SB3; unused by policies without memory.
+            state, episode_start: as in SB3; unused by policies without memory. Hand the returned state to the next
+                call of the same episode.
             deterministic: the most likely action instead of a drawn one.
 
         Returns:
             (action float32, state), as SB3's `predict`.
         """
+        if self._flattened is not None:
+            observation = flatten(self._flattened, observation)
         if self._normalisation is not None:
             observation = self._normalisation.normalize_obs(observation)
         return self._model.predict(observation, state, episode_start, deterministic)
@@ -69,11 +73,18 @@ class Policy:
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.
 
+        A policy that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
+
         Raises:
             PolicyError: naming the space and both sides of the difference.
         """
+        whole = env.observation_space
+        if isinstance(whole, gym.spaces.Dict) and isinstance(self.observation_space, gym.spaces.Box):
+            self._flattened = whole if self.observation_space == gym.spaces.flatten_space(whole) else None
         for kind in ("observation_space", "action_space"):
             trained, given = getattr(self, kind), getattr(env, kind)
+            if given is self._flattened and self._flattened is not None:
+                continue
             difference = describe_difference(trained, given)
             if difference:
                 raise PolicyError(f"policy {self.name!r} does not fit the environment: {kind} {difference}")
@@ -103,19 +114,18 @@ def locate(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> Path:
 def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
     """Files of a policy that is not a shipped one, by the names that shipped ones have.
 
-    rl_zoo3 leaves `ENV.zip` in the run's folder and `vecnormalize.pkl` in its subfolder `ENV`.
+    rl_zoo3 leaves `ENV.zip` in the run's folder (before its end only `best_model.zip` and `rl_model_N_steps.zip`), and
+    `args.yml`, `config.yml` and `vecnormalize.pkl` in its subfolder `ENV`.
     """
     path = Path(policy)
-    models = [path] if path.suffix == ".zip" else [path / MODEL_FILE, *sorted(path.glob(f"*/{NORMALISATION_FILE}"))]
+    if path.suffix == ".zip":
+        models = [path]
+    else:
+        zoo = sorted({file.parent for name in (ARGUMENTS_FILE, NORMALISATION_FILE) for file in path.glob(f"*/{name}")})
+        models = [path / MODEL_FILE, *(folder.with_name(f"{folder.name}.zip") for folder in zoo), path / BEST_FILE]
     for model in models:
-        if model.name == NORMALISATION_FILE:
-            model = model.parent.with_name(f"{model.parent.name}.zip")
         if model.is_file():
-            files = {MODEL_FILE: model}
-            for beside in (model.with_suffix("") / NORMALISATION_FILE, model.with_name(NORMALISATION_FILE)):
-                if beside.is_file():
-                    files[NORMALISATION_FILE] = beside
-            return files
+            return {MODEL_FILE: model, **_files_beside(model)}
     choices = ", ".join(sorted(_manifest(weights))) or "none shipped yet"
     raise PolicyError(
         f"policy={str(policy)!r} is neither a shipped name ({choices}) nor a folder with {MODEL_FILE}, a .zip file, "
@@ -123,7 +133,27 @@ def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
     )
 
 
-def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER) -> Policy:
+def _files_beside(model: Path) -> dict[str, Path]:
+    """Statistics and arguments that belong to a model's zip."""
+    own, folders = model.with_suffix(""), [path for path in sorted(model.parent.glob("*/")) if path.is_dir()]
+    steps = re.fullmatch(r"(.+)_(\d+)_steps", model.stem)  # as SB3's CheckpointCallback names them
+    found = {}
+    for name in (NORMALISATION_FILE, ARGUMENTS_FILE):
+        places = [own / name, model.with_name(name)]
+        if steps and name == NORMALISATION_FILE:
+            places.insert(0, model.with_name(f"{steps[1]}_vecnormalize_{steps[2]}_steps.pkl"))
+        if model.name == BEST_FILE or steps:
+            places += [folder / name for folder in folders]
+        for place in places:
+            if place.is_file():
+                found[name] = place
+                break
+    return found
+
+
+def load(
+    policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER, *, trusted: bool = False
+) -> Policy:
     """Load a policy.
 
     Args:
@@ -131,9 +161,10 @@ def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS
             folder of an rl_zoo3 run.
         env: environment whose spaces must match.
         weights: folder of shipped policies.
+        trusted: let the file name anything, such as a feature extractor of your own, and so run code.
 
     Raises:
-        PolicyError: unknown name, changed file, or spaces that do not match.
+        PolicyError: unknown name, changed, damaged or foreign file, unknown algorithm, or spaces that do not match.
     """
     folder = locate(policy, weights)
     if str(policy) in _manifest(weights):
@@ -142,7 +173,7 @@ def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS
         contents = {name: path.read_bytes() for name, path in _own_files(policy, weights).items()}
     card_file = folder / CARD_FILE
     card = json.loads(card_file.read_text(encoding="utf-8")) if card_file.is_file() else {}
-    loaded = _unpickle(str(policy), contents, card)
+    loaded = _rebuild(str(policy), contents, card, trusted)
     if env is not None:
         loaded.check_spaces(env)
     return loaded
@@ -168,16 +199,30 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
     target.mkdir(parents=True, exist_ok=True)
     hashes = {}
     for file, path in _own_files(folder if Path(folder).suffix == ".zip" else source, weights).items():
-        content = path.read_bytes()
-        (target / file).write_bytes(content)
+        if file == ARGUMENTS_FILE:
+            continue
+        content = portable(file, path.read_bytes())
+        with atomic_path(target / file) as temporary:
+            temporary.write_bytes(content)
         hashes[file] = hashlib.sha256(content).hexdigest()
     card, curve = run_card(source)
-    (target / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+    with atomic_path(target / CARD_FILE) as temporary:
+        temporary.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     manifest = {**_manifest(weights), name: hashes}
     with atomic_path(weights / MANIFEST_FILE) as temporary:
         temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     write_card(target, name, card, curve, evaluations)
     return target
+
+
+def flatten(space: gym.spaces.Dict, observation: Mapping[str, Any]) -> np.ndarray:
+    """One vector of an observation, as `FlattenObservation` makes it, or one row for each of a batch."""
+    parts = []
+    for key, part in space.spaces.items():
+        values = np.asarray(observation[key])
+        batch = values.shape[: values.ndim - len(part.shape or ())]
+        parts.append(values.reshape(*batch, -1))
+    return np.concatenate(parts, axis=-1)
 
 
 def describe_difference(trained: gym.Space, given: gym.Space) -> str:
@@ -224,18 +269,20 @@ def _read_checked(name: str, weights: Path) -> dict[str, bytes]:
     return contents
 
 
-def _unpickle(name: str, contents: Mapping[str, bytes], card: Mapping[str, Any]) -> Policy:
-    from policies.train.training import algorithm_class
-
+def _rebuild(name: str, contents: Mapping[str, bytes], card: Mapping[str, Any], trusted: bool) -> Policy:
+    arguments = contents.get(ARGUMENTS_FILE, b"").decode("utf-8", "replace")
+    algorithm = card.get("algorithm") or algorithm_in_arguments(arguments)
+    file = MODEL_FILE
     try:
-        model = algorithm_class(card.get("algorithm", "ppo")).load(io.BytesIO(contents[MODEL_FILE]), device="cpu")
-    except (KeyError, ValueError, EOFError, pickle.UnpicklingError, OSError) as error:
-        raise PolicyError(f"policy {name!r}: {MODEL_FILE} is no Stable-Baselines3 model: {error}") from None
-    normalisation = None
-    if NORMALISATION_FILE in contents:
-        normalisation = pickle.loads(contents[NORMALISATION_FILE])
-        normalisation.training = False
-        normalisation.norm_reward = False
+        model = read_model(contents[file], algorithm, trusted=trusted)
+        normalisation = None
+        if NORMALISATION_FILE in contents:
+            file = NORMALISATION_FILE
+            read = pickle.loads if trusted else read_pickle
+            normalisation = read(contents[file])
+            normalisation.training = normalisation.norm_reward = False
+    except (SavedModelError, AttributeError) as error:
+        raise PolicyError(f"policy {name!r}: {file} is no Stable-Baselines3 model: {error}") from None
     return Policy(name, model, normalisation, card)
 
 

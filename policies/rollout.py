@@ -106,7 +106,7 @@ def run_episode(
     if on_step:
         on_step(observation, info)
     while not (terminated or truncated):
-        action, state = policy.predict(observation, state, deterministic=True)
+        action, state = policy.predict(observation, state, np.array([steps == 0]), deterministic=True)
         observation, reward, terminated, truncated, info = env.step(action)
         total, steps = total + float(reward), steps + 1
         tally.add(observation, info["truth"])

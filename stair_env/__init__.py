@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium
 
-from stair_env.common import moved
+from stair_env.common import moved, shadowing
 
 __version__ = "0.1.0"
 
@@ -24,8 +24,8 @@ _ENTRY_POINTS: dict[str, dict[str, Any]] = {
         "vector_entry_point": "stair_env.vector:make_rgbd_vec",
     },
     "stair_env/StairClimbPerception-v0": {
-        "entry_point": "perception.gym_entry_points:make_perception_env",
-        "vector_entry_point": "perception.gym_entry_points:make_perception_vec",
+        "entry_point": "stair_env.entry_points:make_perception_env",
+        "vector_entry_point": "stair_env.entry_points:make_perception_vec",
     },
 }
 ENV_IDS = tuple(_ENTRY_POINTS)
@@ -39,4 +39,5 @@ def register_envs() -> None:
 
 
 moved.install(__name__)
+shadowing.install()
 register_envs()

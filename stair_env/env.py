@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
 from stair_env.common.pickling import PicklesByArguments
-from stair_env.common.validation import check_choice
+from stair_env.common.validation import check_choice, read_action
 from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.onboard.gait import GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
@@ -31,7 +31,7 @@ from stair_env.task.observation_terms import ObservationTerm, read_observations
 from stair_env.task.randomization import read_randomization
 from stair_env.task.rewards import RewardTerm, read_rewards
 from stair_env.task.sources import ExternalSource, StairSource, make_source, observe_stairs
-from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, standing_at
+from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, read_reset_options, standing_at
 from stair_env.task.stair_ranges import StairRanges, StairSampler, draw_sampled, read_sampler
 from stair_env.task.step_state import Episode, StepRecorder, StepState
 from stair_env.task.termination import TerminationFunction, read_terminations
@@ -119,7 +119,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
-        self.camera_options = dict(camera or {})
+        if camera is not None:  # of no matter here, but a wrong option is one on every id
+            from stair_env.sensors.camera.sensor import CameraConfig
+
+            CameraConfig.from_dict(camera)
         self.render_mode = render_mode
         self.randomization = read_randomization(randomization)
         self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
@@ -153,18 +156,16 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             options: "stairs": a StairSpec or its dict, to climb this very staircase;
                 "x", "y", "yaw": where the base starts.
         """
+        given, start = read_reset_options(options)
         super().reset(seed=seed)
-        options = options or {}
-        for name in options:
-            check_choice("option", name, ("stairs", "x", "y", "yaw"))
         if self.curriculum is not None and self._unreported:
             self.curriculum.report(False)  # it ran out of time
-        self.stairs, self._given_scene = self._draw_stairs(options.get("stairs"))
+        self.stairs, self._given_scene = self._draw_stairs(given)
         self.profile = self.stairs.profile()
         spawn = draw_spawn(self.stairs, self.robot, self.spawn, self.np_random)
-        if {"x", "y", "yaw"} & set(options):
-            defaults = {"x": spawn.position[0], "y": spawn.position[1], "yaw": spawn.yaw}
-            spawn = standing_at(self.stairs, self.robot, **{k: float(options.get(k, v)) for k, v in defaults.items()})
+        if start:
+            drawn = {"x": float(spawn.position[0]), "y": float(spawn.position[1]), "yaw": spawn.yaw}
+            spawn = standing_at(self.stairs, self.robot, **(drawn | start))
         body = self.randomization.draw(self.np_random)
         episode = Episode(self.stairs, self.profile, self.robot, body, float(spawn.position[0]))
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
@@ -179,17 +180,15 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._recorder = StepRecorder(episode, self.action_size)
         self.state = self._recorder.begin(self._base, self._reading, targets, self._truth, self._block, CONTROL_DT)
         self._unreported = False
-        return self._observation(), self._info({}, {})
+        return self._observation(), self._info(dict.fromkeys(self.rewards.terms, 0.0), "")
 
-    def _draw_stairs(self, given: Any) -> tuple[StairSpec, SceneSpec | None]:
+    def _draw_stairs(self, given: StairSpec | None) -> tuple[StairSpec, SceneSpec | None]:
         """The staircase, and the scene around it if it was drawn with one."""
         if self.sampler is None:
             drawn: tuple[StairSpec, SceneSpec | None] = self.ranges.draw(self.np_random, self.curriculum), None
         else:
             drawn = draw_sampled(self.sampler, self.np_random)
-        if given is None:
-            return drawn
-        return given if isinstance(given, StairSpec) else StairSpec.from_dict(given), None
+        return drawn if given is None else (given, None)
 
     def _build(self, episode: Episode, shapes: tuple[Shape, ...]) -> None:
         if self._sim is None:
@@ -255,9 +254,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         """One control step of 1/48 s."""
         if self._sim is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)
-        if action.shape != (self.action_size,):
-            raise ValueError(f"action has shape {action.shape}, must be ({self.action_size},)")
+        action = np.minimum(np.maximum(read_action(action, (self.action_size,)), -1.0), 1.0)
         self._unreported = True
         targets = self.gait.joint_targets(action, self._block, self._proprioception.velocity, CONTROL_DT)
         self._move(targets)
@@ -276,7 +273,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         if termination and self.curriculum is not None:
             self.curriculum.report(termination == "success")
             self._unreported = False
-        info = self._info(terms, {"termination": termination} if termination else {})
+        info = self._info(terms, termination)
         if self.render_mode == "human":
             self.render()
         return self._observation(), float(sum(terms.values())), bool(termination), False, info
@@ -297,6 +294,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
 
     def _observe_stairs(self) -> None:
         self._truth, self._block = observe_stairs(self.source, self._episode, self._base, self.time_s)
+
+    def end_curriculum(self) -> None:
+        """From the next episode on draw from the whole range of stairs, as an evaluation should."""
+        self.curriculum = None
 
     def provide_stair(self, block: StairBlock | np.ndarray) -> None:
         """Give the stair block that the gait reads at the next step (stair_source="external").
@@ -333,24 +334,25 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         sensed = self._sense()
         return self._observations.select(sensed, self.state) if self._observations.changes else sensed
 
-    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
+    def _info(self, terms: dict[str, float], termination: str) -> dict[str, Any]:
+        """What is told beside the observation: the same keys and types at reset and at every step."""
         base = self.state.after
         info: dict[str, Any] = {
-            "is_success": extra.get("termination") == "success",
+            "is_success": termination == "success",
             "steps_climbed": self.state.steps_climbed,
             "reward_terms": terms,
+            "termination": termination,
             "truth": {
                 **self._truth._asdict(),
-                "riser_height": self.stairs.riser_height,
-                "tread_depth": self.stairs.tread_depth,
+                "riser_height": float(self.stairs.riser_height),
+                "tread_depth": float(self.stairs.tread_depth),
                 "num_steps": len(self.profile.edge_x),
-                "position": base.position.tolist(),
-                "velocity": base.velocity.tolist(),
+                "position": base.position.copy(),
+                "velocity": base.velocity.copy(),
                 "yaw": base.yaw,
                 "riser_hits": self.state.riser_hits,
                 "energy_j": self._energy,
             },
-            **extra,
         }
         if self.curriculum is not None:
             info["curriculum_level"] = self.curriculum.level

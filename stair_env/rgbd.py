@@ -113,8 +113,8 @@ class StairClimbRgbdEnv(StairClimbEnv):
             "depth": np.clip(self._frame.depth_m, 0.0, FAR_M),
         }
 
-    def _info(self, terms: dict[str, float], extra: dict[str, Any]) -> dict[str, Any]:
-        info = super()._info(terms, extra)
+    def _info(self, terms: dict[str, float], termination: str) -> dict[str, Any]:
+        info = super()._info(terms, termination)
         info["camera"] = {
             "frame": self._frame.frame_index,
             "captured_at_s": self._frame.captured_at_s,

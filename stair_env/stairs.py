@@ -130,12 +130,15 @@ class StairSpec(JsonSpec):
         check_range("nosing_overhang", self.nosing_overhang, 0.0, MAX_NOSING_OVERHANG_M)
         check_choice("side_walls", self.side_walls, SIDE_WALLS)
         for name in ("riser_offsets", "tread_offsets"):
-            offsets = tuple(float(value) for value in getattr(self, name))
+            given = getattr(self, name)
+            if not isinstance(given, (tuple, list, np.ndarray)):
+                raise SpecError(f"{name}={given!r} must be a sequence of numbers, metres")
+            for value in given:
+                check_range(name, value, -0.05, 0.05)
+            offsets = tuple(float(value) for value in given)
             object.__setattr__(self, name, offsets)
             if len(offsets) not in (0, self.num_steps):
                 raise SpecError(f"{name} has {len(offsets)} values, must have 0 or num_steps={self.num_steps}")
-            for value in offsets:
-                check_range(name, value, -0.05, 0.05)
         if min(self._rises()) <= 0.0:
             raise SpecError(f"riser_offsets={self.riser_offsets!r} leave a step without height")
 

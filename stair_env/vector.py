@@ -23,6 +23,7 @@ from stair_env.vectorized.pool import WorkerPool
 from stair_env.vectorized.worker import EnvFactory, StepInfo
 
 RESET_MASK = "reset_mask"  # Gymnasium's option that names the environments to reset
+OWN_METHODS = ("reset", "step", "close")
 VectorStep = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
 
 
@@ -70,7 +71,7 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         self.single_observation_space, self.single_action_space = observation_space, action_space
         self.observation_space = batch_space(observation_space, self.num_envs)
         self.action_space = batch_space(action_space, self.num_envs)
-        self._mode, self._copy = mode, copy
+        self.autoreset_mode, self._copy = mode, copy
         self._ended = np.zeros(self.num_envs, bool)
         self._pool = WorkerPool(
             factories,
@@ -82,6 +83,16 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
             context=context,
             timeout_s=timeout_s,
         )
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of every environment, as Gymnasium's vector environments have it."""
+        return tuple(self._pool.get_attribute(range(self.num_envs), "np_random_seed"))
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The generator of every environment; those of other processes are copies."""
+        return tuple(self._pool.get_attribute(range(self.num_envs), "np_random"))
 
     @property
     def pool(self) -> WorkerPool:
@@ -98,10 +109,9 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
             options: of each environment's reset; "reset_mask", (num_envs,) bool, chooses the environments to reset.
 
         Raises:
-            ValueError: not one seed per environment, or a wrong mask.
+            ValueError: not one seed per environment, or a mask of a wrong shape.
+            TypeError: a mask that is no bool array.
         """
-        if isinstance(seed, int):
-            super().reset(seed=seed)
         seeds = self._seeds(seed)
         options = None if options is None else dict(options)
         mask = self._reset_mask(None if options is None else options.pop(RESET_MASK, None))
@@ -125,7 +135,7 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Begin a step; `step_wait` ends it."""
-        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
             ended = np.flatnonzero(self._ended).tolist()
             raise gym.error.ResetNeeded(f"autoreset is disabled: reset environments {ended} before the next step")
         self._pool.begin_step(actions)
@@ -158,7 +168,9 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
 
         Raises:
             AttributeError: there is no such attribute.
+            ValueError: the method is one that this class has for itself.
         """
+        check_callable(name)
         return tuple(self._pool.call(range(self.num_envs), name, *args, **kwargs))
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
@@ -185,7 +197,8 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         if seed is None:
             return [None] * self.num_envs
         seeds: list[int | None]
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+        whole = isinstance(seed, (int, np.integer))
+        seeds = [int(seed) + i for i in range(self.num_envs)] if whole else list(seed)  # type: ignore[arg-type]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries, must have num_envs={self.num_envs}")
         return seeds
@@ -193,11 +206,24 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
             return np.ones(self.num_envs, bool)
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise ValueError(f"option {RESET_MASK}={mask!r} must be a bool array of shape ({self.num_envs},)")
+        wanted = f"option {RESET_MASK}={mask!r} must be a bool array of shape ({self.num_envs},)"
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError(wanted)
+        if mask.shape != (self.num_envs,):
+            raise ValueError(wanted)
         if not mask.any():
             raise ValueError(f"option {RESET_MASK}={mask!r} must choose at least one environment")
         return mask
+
+
+def check_callable(name: str) -> None:
+    """Refuse methods that would go past the vector.
+
+    Raises:
+        ValueError: name is one of them.
+    """
+    if name in OWN_METHODS:
+        raise ValueError(f"call({name!r}) would leave the vector out of step: use its own {name}()")
 
 
 def _step_info(result: StepInfo) -> dict[str, Any]:

@@ -170,12 +170,7 @@ def write_picture(path: Path | str, rgb: np.ndarray) -> None:
     """
     import cv2
 
-    from stair_env.common.files import atomic_path
+    from stair_env.common.images import write_image
 
     ending = check_picture_path(path)
-    options = [] if ending == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    done, data = cv2.imencode(ending, np.ascontiguousarray(rgb[..., ::-1]), options)
-    if not done:
-        raise ValueError(f"cannot encode a picture of shape {rgb.shape}")
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data.tobytes())
+    write_image(path, rgb[..., ::-1], () if ending == ".png" else (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))

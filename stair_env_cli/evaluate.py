@@ -24,7 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser(
         "evaluate",
         help="compare stair sources on paired episodes",
-        description="Run the same episodes with each source of the stair block; 95 %% intervals are Wilson's.",
+        description="Run the same episodes with each source of the stair block; 95 % intervals are Wilson's.",
     )
     parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
     parser.add_argument(
@@ -77,7 +77,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print a table, write JSON and figure."""
     limit_threads(1)
-    if args.resume and not args.json:
+    from stair_env.common.files import takes_files_beside
+
+    if args.resume and not (args.json and takes_files_beside(args.json)):
         raise ValueError("--resume needs --json FILE, beside which the episodes are kept")
     from policies.evaluate import evaluation
     from policies.evaluate.episode_log import EpisodeLog, log_path
@@ -103,17 +105,17 @@ def run(args: argparse.Namespace) -> int:
         **sizes,
     )
     _check_policies(config)
-    log = (
-        EpisodeLog(log_path(args.json), evaluation.episode_settings(config), resume=args.resume) if args.json else None
-    )
+    log = None
+    if args.json and takes_files_beside(args.json):
+        log = EpisodeLog(log_path(args.json), evaluation.episode_settings(config), resume=args.resume)
     with progress_bar(evaluation.count_episodes(config), "evaluate", unit="episode") as bar:
         records = evaluation.run_all(config, bar.update, log)
     results = evaluation.tabulate(config, records)
-    print(format_table(results))
     if args.json:
         settings = {name: getattr(args, name) for name in ("robot", "stairs", "lighting", "env_kwargs")}
         settings |= {"policy": config.policy, "blind_policy": config.blind_policy}
         write_json(args.json, {**settings, **results}, seed=args.seed)
+    print(format_table(results))
     if args.figure:
         from policies.report.figures import draw_success
 

@@ -7,12 +7,17 @@ A subcommand `some-name` lives in `stair_env_cli/some_name.py`, or a folder of t
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from types import ModuleType
+
+from stair_env.common.console import unbreakable_streams
+from stair_env.common.files import is_standard_output
+from stair_env.common.shadowing import ShadowedPackageError
 
 COMMANDS: dict[str, str] = {
     "demo": "the shipped policy climbs with perception in the loop; annotated video and summary",
@@ -28,6 +33,7 @@ COMMANDS: dict[str, str] = {
     "bench": "time and memory ratios, each pair measured in one run",
 }
 TRACEBACK_VARIABLE = "STAIR_ENV_TRACEBACK"
+TORCH_WRITING = ("PytorchStreamWriter", "unexpected pos")
 EXIT_USER_ERROR = 2  # the code argparse uses for a wrong option
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
@@ -41,14 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 done, 2 bad input, 130 interrupted, else what the subcommand returned.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    with unbreakable_streams():
+        return _main(list(sys.argv[1:] if argv is None else argv))
+
+
+def _main(arguments: list[str]) -> int:
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     module = _import_command(chosen) if chosen in COMMANDS else None
     args = _build_parser(chosen, module).parse_args(arguments)
     if module is None:  # a word that is no command has already ended in parse_args
         raise AssertionError(f"no module for {args.command!r}")
     try:
-        return int(module.run(args) or 0)
+        with _room_for_results(args):
+            return int(module.run(args) or 0)
     except KeyboardInterrupt:
         print("stair-env: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -61,13 +72,32 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def is_user_error(error: Exception) -> bool:
     """Whether an error speaks about the input (bad value, missing file, unknown environment) and not about a bug."""
-    return isinstance(error, (ValueError, OSError)) or type(error).__module__ == "gymnasium.error"
+    told = isinstance(error, (ValueError, OSError, ShadowedPackageError))
+    return told or type(error).__module__ == "gymnasium.error" or _is_full_disk(error)
+
+
+def _is_full_disk(error: Exception) -> bool:
+    """Whether torch could not write a file, of which its own error says nothing but that."""
+    return isinstance(error, RuntimeError) and any(sign in str(error) for sign in TORCH_WRITING)
 
 
 def describe(error: Exception) -> str:
     """The error's message on one line."""
     text = " ".join(str(error).split()) or "no message"
-    return text if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {text}"
+    if _is_full_disk(error):
+        return f"a file cannot be written, is the disk full? ({text.partition('.')[0]})"
+    plain = isinstance(error, (ValueError, OSError, ImportError))
+    return text if plain else f"{type(error).__name__}: {text}"
+
+
+@contextlib.contextmanager
+def _room_for_results(args: argparse.Namespace) -> Iterator[None]:
+    """Where results go to standard output (`--json /dev/stdout`), what is printed for people goes to standard error."""
+    if args.json is not None and is_standard_output(args.json):
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    else:
+        yield
 
 
 def _import_command(command: str) -> ModuleType:

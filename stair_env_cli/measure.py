@@ -81,14 +81,14 @@ def _run_walks(args: argparse.Namespace) -> int:
     config = LiveConfig(args.drivers, args.flights, args.width, args.backend, args.robot, stairs, args.workers)
     with progress_bar(config.walks, "measure", unit="flight") as bar:
         result = run_walks(config, args.seed, bar.update)
+    if args.json is not None:
+        write_json(args.json, result, seed=args.seed)
     print(f"{'':<34}{'width':>8}{'height':>8}{'next edge':>11}{'valid':>9}{'flights':>9}")
     for name, row in result["overall"].items():
         errors = (row[f"{error}_rmse_mm"] for error in ("width", "height", "next_edge"))
         cells = ["-" if error is None else f"{error:.1f}" for error in errors]
         print(f"{name:<34}{cells[0]:>8}{cells[1]:>8}{cells[2]:>11}{row['valid']:>9.1%}{row['flights']:>9}")
     print("Root mean square errors in mm; valid: share of the time from 1.5 m before the first step on.")
-    if args.json is not None:
-        write_json(args.json, result, seed=args.seed)
     return 0
 
 
@@ -102,9 +102,9 @@ def _run_frames(args: argparse.Namespace) -> int:
     config = MeasureConfig(args.network, args.width, args.poses, args.mode, stairs, args.backend, args.depth)
     with tqdm(total=config.frames, desc="measure", unit="frame", dynamic_ncols=True) as bar:
         result = run_measurement(config, args.seed, bar.update)
-    _print_table(result)
     if args.json is not None:
         write_json(args.json, result, seed=args.seed)
+    _print_table(result)
     return 0
 
 

@@ -59,9 +59,9 @@ def run(args: argparse.Namespace) -> int:
         if not args.no_pictures:
             entry["picture"] = str(_write_picture(args.output, frame.name, draw_report(frame.rgb, estimate, grid)))
         frames.append(entry)
-    _print(frames)
     if args.json is not None:
         write_json(args.json, {"frames": frames}, seed=args.seed)
+    _print(frames)
     return 0
 
 
@@ -84,12 +84,10 @@ def _read_intrinsics(path: Path | None) -> dict[str, float] | None:
 
 
 def _write_picture(folder: Path, name: str, image: Any) -> Path:
-    import cv2
+    from stair_env.common.images import write_image
 
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}_stairs.png"
-    if not cv2.imwrite(str(path), image[:, :, ::-1]):
-        raise OSError(f"{path}: cannot be written")
+    write_image(path, image[:, :, ::-1])
     return path
 
 

@@ -118,9 +118,9 @@ def _run_network(args: argparse.Namespace) -> int:
         bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
         tallies = evaluate_detector(backend, frames, progress=bar)
         rows.extend(beside_paper(as_rows(tallies, "StairNetV2", width)))
-    _print_table(rows)
     if args.json:
         write_json(args.json, {"rows": rows, "backend": args.backend, "depth": args.depth}, seed=args.seed)
+    _print_table(rows)
     return 0
 
 
@@ -143,7 +143,6 @@ def _run_robust(args: argparse.Namespace) -> int:
         if args.figure and (args.weights is None or args.weights.suffix != ".onnx"):
             network = load_network(width) if args.weights is None else load_weights(args.weights, width)
             weights[width] = colour_weights(network.eval(), frames, range(min(WEIGHED_FRAMES, len(frames))))
-    _print_table([row for row in rows if row["lighting"] == "all"])
     if args.json:
         report = {"rows": rows, "colour_weight": mean_weights(weights), "backend": args.backend}
         write_json(args.json, report, seed=args.seed)
@@ -152,6 +151,7 @@ def _run_robust(args: argparse.Namespace) -> int:
 
         with atomic_path(args.figure) as temporary:
             draw_colour_weights(weights).savefig(temporary, dpi=110, format="png")
+    _print_table([row for row in rows if row["lighting"] == "all"])
     return 0
 
 
@@ -170,9 +170,9 @@ def _run_classical(args: argparse.Namespace) -> int:
         progress=progress,
         images=args.images,
     )
-    _print_table(report["rows"])
     if args.json:
         write_json(args.json, report, seed=args.seed)
+    _print_table(report["rows"])
     return 0
 
 
@@ -211,13 +211,14 @@ def _run_paper(args: argparse.Namespace) -> int:
     suite.measure(train=not args.trained_only)
     tables = suite.tables()
     for name, report in tables.items():
+        write_json(args.results / f"{name}.json", report, seed=args.seed)
+    if args.json:
+        write_json(args.json, tables, seed=args.seed)
+    write_picture(args.results / "table6.png", suite.picture())
+    for name, report in tables.items():
         print(f"\n{name}")
         _print_table(report["rows"])
         print("\n".join(f"  {note}" for note in report["notes"]))
-        write_json(args.results / f"{name}.json", report, seed=args.seed)
-    write_picture(args.results / "table6.png", suite.picture())
-    if args.json:
-        write_json(args.json, tables, seed=args.seed)
     return 0
 
 
@@ -228,15 +229,15 @@ def _run_speed(args: argparse.Namespace) -> int:
 
     bar = functools.partial(progress, description="speed")
     report = speed_table([float(width) for width in args.width], args.rounds, threads, bar)
+    write_json(args.results / "table4.json", report, seed=args.seed)
+    if args.json:
+        write_json(args.json, report, seed=args.seed)
     for row in report["rows"]:
         times = ", ".join(f"{name} {value:.1f}" for name, value in row["ms"].items())
         ratios = ", ".join(f"{name} {value:.2f}" for name, value in row["times_eager"].items())
         size = f"{row['parameters']} parameters, {row['state_dict_mb']} MB (paper {row['paper_mb']})"
         print(f"{row['width']:g}x: {size}; ms a frame: {times}; times as fast as eager: {ratios}")
     print("\n".join(f"  {note}" for note in report["notes"]))
-    write_json(args.results / "table4.json", report, seed=args.seed)
-    if args.json:
-        write_json(args.json, report, seed=args.seed)
     return 0
 
 

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         path = folder / f"{weights_name(network.width)}.onnx"
         export_onnx(network, path)
         written.append(str(path))
-    print("\n".join(written))
     if args.json:
         write_json(args.json, {"written": written}, seed=args.seed)
+    print("\n".join(written))
     return 0

@@ -17,6 +17,7 @@ import numpy as np
 
 from perception.data.label_grid import order_left_first, read_label_file
 from stair_env.common.constants import IMAGE_SIZE
+from stair_env.common.images import read_image
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MILLIMETRE = 0.001
@@ -158,9 +159,7 @@ def read_colour(path: str | Path) -> np.ndarray:
     Raises:
         DatasetError: the file is missing or no image.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise DatasetError(f"{path}: cannot be read as an image")
+    image = _decoded(path, cv2.IMREAD_COLOR)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -173,17 +172,28 @@ def read_depth(path: str | Path, *, unit_m: float = MILLIMETRE, grey_level_m: fl
         grey_level_m: metres a grey level of 8-bit depth.
 
     Raises:
-        DatasetError: the file is missing, no image, or neither 8- nor 16-bit.
+        DatasetError: the file is missing, no image, one in colour, or neither 8- nor 16-bit.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise DatasetError(f"{path}: cannot be read as an image")
+    image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image.ndim == 3:
+        if image.shape[2] >= 3 and not (image[..., :3] == image[..., :1]).all():
+            raise DatasetError(
+                f"{path}: three different channels, which is a colourised picture and no depth; save depth as 16-bit "
+                "png (Z16), or as 8-bit grey"
+            )
         image = image[..., 0]
     scales = {np.dtype(np.uint16): unit_m, np.dtype(np.uint8): grey_level_m}
     if image.dtype not in scales:
         raise DatasetError(f"{path}: depth of type {image.dtype}, must be 8- or 16-bit")
     return image.astype(np.float32) * np.float32(scales[image.dtype])
+
+
+def _decoded(path: str | Path, flags: int) -> np.ndarray:
+    try:
+        return read_image(path, flags)
+    except (OSError, ValueError) as error:
+        told = f"{path}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
+        raise DatasetError(told) from None
 
 
 def read_side_car(path: Path) -> dict[str, Any]:

@@ -7,7 +7,8 @@ of the 512 x 512 image. The constants stand here because compiled code keeps the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 COLUMNS = 16
 COLUMN_WIDTH_PX = 32.0

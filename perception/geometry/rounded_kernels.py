@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 UNKNOWN, TREAD, RISER = 0, 1, 2
 FIRST_ROUNDS = 2  # without the steps' likeness, whose equations need a first solution

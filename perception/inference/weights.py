@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stair_env.common.console import quiet
 from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
 from stair_env.common.files import atomic_path
 
@@ -141,7 +142,7 @@ def export_onnx(network: StairNetV2, path: Path) -> None:
     plain = folded(network, dense=network.width <= DENSE_UP_TO_WIDTH)
     rgb, depth = torch.zeros(2, 3, IMAGE_SIZE, IMAGE_SIZE), torch.zeros(2, 1, IMAGE_SIZE, IMAGE_SIZE)
     batch = torch.export.Dim("batch", min=1, max=1024)
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, quiet("torch.onnx"):
         torch.onnx.export(
             plain,
             (rgb, depth),

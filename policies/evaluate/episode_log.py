@@ -43,10 +43,16 @@ class EpisodeLog:
         if resume and self.path.is_file() and self.path.stat().st_size:
             self._read(settings)
         else:
-            self.path.write_text(json.dumps({"settings": settings}) + "\n", encoding="utf-8")
+            self._begin(settings)
+
+    def _begin(self, settings: Mapping[str, Any]) -> None:
+        self.path.write_text(json.dumps({"settings": settings}) + "\n", encoding="utf-8")
 
     def _read(self, settings: Mapping[str, Any]) -> None:
         whole, _, cut = self.path.read_bytes().rpartition(b"\n")
+        if not whole:  # a kill broke the very first line off
+            self._begin(settings)
+            return
         try:
             first, *rest = (json.loads(line) for line in whole.splitlines())
             found = first["settings"]

@@ -31,7 +31,7 @@ def load_hyperparams(algorithm: str, env_id: str, path: Path | str | None = None
     file = Path(path) if path else Path(__file__).parent / f"{algorithm}.yml"
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{file} is not YAML: {error}") from None
     if not isinstance(content, dict) or not isinstance(content.get(env_id), dict):
         known = ", ".join(content) if isinstance(content, dict) else "nothing"

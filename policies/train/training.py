@@ -22,6 +22,7 @@ from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
 from stair_env.common.files import provenance, write_json
+from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -33,6 +34,8 @@ CONFIG_FILE = "config.json"
 CARD_FILE = "card.json"
 FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"
+NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback")  # keys of the YAML file that others read
+HIDING_POLICIES = ("StairActorCriticPolicy", "StairSacPolicy", "StairTd3Policy", "StairTqcPolicy")
 DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
 
 
@@ -172,7 +175,7 @@ def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
 
 def _split(hyperparams: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
     """The algorithm's own arguments, and the value of `normalize` (False, True or VecNormalize's arguments)."""
-    values = {name: value for name, value in hyperparams.items() if name not in ("n_timesteps", "n_envs", "normalize")}
+    values = {name: value for name, value in hyperparams.items() if name not in NOT_THE_ALGORITHMS}
     policy = values.get("policy", "MultiInputPolicy")
     if "." in policy:
         module, _, name = policy.rpartition(".")
@@ -205,10 +208,26 @@ def _new_model(
     elif normalisation:
         options = normalisation if isinstance(normalisation, dict) else {}
         venv = normalise(venv, gamma=float(hyperparams.get("gamma", DEFAULT_GAMMA)), options=options)
+    _check_privileged(venv, arguments.get("policy"))
     model = algorithm_class(config.algorithm)(env=venv, seed=config.seed, device="cpu", **arguments)
     if start_from is not None:
         model.set_parameters(str(start_from / checkpoints.MODEL_FILE), exact_match=False, device="cpu")
     return model
+
+
+def _check_privileged(venv: VecEnv, policy: Any) -> None:
+    """Refuse a policy whose actor would read what no robot knows.
+
+    Raises:
+        ValueError: the observation has a privileged block, and the policy is none that hides it.
+    """
+    spaces = getattr(venv.observation_space, "spaces", {})
+    hides = any(base.__name__ in HIDING_POLICIES for base in getattr(policy, "__mro__", ()))
+    if PRIVILEGED_KEY in spaces and not hides:
+        raise ValueError(
+            f"policy={policy!r} would let the actor read the privileged block; choose policies.features."
+            f"{' or '.join(HIDING_POLICIES)}"
+        )
 
 
 def _load_model(

@@ -50,6 +50,31 @@ def as_range(name: str, value: object, low: float, high: float) -> tuple[float, 
     return float(ends[0]), float(ends[1])
 
 
+def read_action(value: Any, shape: tuple[int, ...], name: str = "action") -> np.ndarray:
+    """Read an action (float64), or one for each environment of a vector.
+
+    Args:
+        value: what the caller passed.
+        shape: that it must have.
+        name: of the argument, in messages.
+
+    Raises:
+        ValueError: it has another shape, or holds what is no finite number; one NaN would pass through every clip into
+            observations, rewards and the statistics of whoever normalises them.
+    """
+    try:
+        action = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}={value!r} must hold numbers, of shape {shape}: {error}") from None
+    if action.shape != shape:
+        raise ValueError(f"{name} has shape {action.shape}, must be {shape}")
+    if not np.isfinite(action).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(action))[0])
+        where = index[0] if len(index) == 1 else index
+        raise ValueError(f"{name} holds {action[index]} at index {where}, must be finite")
+    return action
+
+
 def from_fields(cls: type, values: Any, what: str = "") -> Any:
     """Build dataclass cls from a dict of its fields, of which any may be left out that has a default.
 
@@ -66,7 +91,24 @@ def from_fields(cls: type, values: Any, what: str = "") -> Any:
     names = tuple(entry.name for entry in dataclasses.fields(cls))
     for name in values:
         check_choice(f"{what} field".strip(), name, names)
-    return cls(**values)
+    return build(cls, values, what)
+
+
+def build(cls: type, values: Mapping[str, Any], what: str = "") -> Any:
+    """Build dataclass cls from known fields.
+
+    Raises:
+        SpecError: one that has no default is missing, or a value is of a kind that the class cannot even look at.
+    """
+    absent = dataclasses.MISSING
+    required = [f.name for f in dataclasses.fields(cls) if f.default is absent and f.default_factory is absent]
+    missing = [name for name in required if name not in values]
+    if missing:
+        raise SpecError(f"{what or cls.__name__} lacks the field {missing[0]!r}")
+    try:
+        return cls(**values)
+    except (TypeError, AttributeError, OverflowError) as error:
+        raise SpecError(f"{what or cls.__name__} field of a wrong kind in {dict(values)!r}: {error}") from None
 
 
 class JsonSpec:
@@ -116,4 +158,4 @@ def from_mapping(name: str, cls: type, value: Any) -> Any:
         raise SpecError(f"{name}={value!r} must be None, True or a mapping with any of {', '.join(fields)}")
     for key in value:
         check_choice(f"{name} field", key, fields)
-    return cls(**value)
+    return build(cls, value, name)

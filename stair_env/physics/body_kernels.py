@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import boolean, float64, njit, void
+from numba import boolean, float64, void
+
+from stair_env.common.compiling import njit
 
 FLOATS, ROWS, FLAGS = float64[::1], float64[:, ::1], boolean[::1]  # contiguous arrays
 Vector = tuple[float, float, float]

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -30,6 +28,8 @@ from stair_env.physics.body_kernels import (
     feel,
     trace_trunk,
 )
+from stair_env.physics.bullet_client import QuietBulletClient
+from stair_env.physics.display import display_problem
 from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
@@ -50,11 +50,6 @@ SHAPE_COLOURS = {
 DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
 
 _LOGGER = logging.getLogger(__name__)
-
-
-def has_display() -> bool:
-    """Whether a window can be opened; Bullet waits for ever for one that cannot."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
 class BaseState(NamedTuple):
@@ -164,11 +159,12 @@ class Simulation:
 
     def __init__(self, robot: RobotSpec, gui: bool = False, visible: bool = True) -> None:
         self.robot = robot
-        self._gui = gui and has_display()
-        if gui and not self._gui:
-            _LOGGER.warning("no display (DISPLAY is not set): the simulation runs without a window")
+        problem = display_problem() if gui else None
+        self._gui = gui and problem is None
+        if problem is not None:
+            _LOGGER.warning("no display (%s): the simulation runs without a window", problem)
         self._visible = visible or self._gui
-        self.client = BulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
+        self.client: BulletClient = QuietBulletClient(pybullet.GUI if self._gui else pybullet.DIRECT)
         self.body = -1
         self.ground: list[int] = []
         self._last_targets = np.zeros(NUM_JOINTS)

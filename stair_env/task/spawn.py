@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from stair_env.common.validation import check_choice, check_range
 from stair_env.robots import RobotSpec
 from stair_env.stairs import StairSpec
 
@@ -15,6 +18,8 @@ SPAWN_YAW_RAD = 0.12
 SPAWN_LATERAL_M = 0.12
 FOOT_CLEAR_M = 0.06
 ON_FLIGHT_SHARE = 0.3
+RESET_OPTIONS = ("stairs", "x", "y", "yaw")
+START_LIMIT = 100.0  # metres, or radians: beyond any staircase
 
 
 @dataclass(frozen=True)
@@ -70,3 +75,19 @@ def standing_at(spec: StairSpec, robot: RobotSpec, x: float, y: float, yaw: floa
     turn_back = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     tip_back = np.array([[np.cos(pitch), 0.0, -np.sin(pitch)], [0.0, 1.0, 0.0], [np.sin(pitch), 0.0, np.cos(pitch)]])
     return Spawn(position, yaw, pitch, relative @ turn_back.T @ tip_back.T)
+
+
+def read_reset_options(options: Mapping[str, Any] | None) -> tuple[StairSpec | None, dict[str, float]]:
+    """The staircase that the options of a reset ask for, if they do, and where on it to start.
+
+    Raises:
+        SpecError: an unknown option, or a wrong value.
+    """
+    for name in options or {}:
+        check_choice("option", name, RESET_OPTIONS)
+    given = dict(options or {})
+    stairs = given.pop("stairs", None)
+    for name, value in given.items():
+        check_range(f"option {name}", value, -START_LIMIT, START_LIMIT)
+    start = {name: float(value) for name, value in given.items()}
+    return (stairs if stairs is None or isinstance(stairs, StairSpec) else StairSpec.from_dict(stairs)), start

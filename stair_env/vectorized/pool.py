@@ -22,8 +22,15 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import CloudpickleWrapper
 
-from stair_env.common.validation import check_choice
+from stair_env.common.validation import check_choice, read_action
 from stair_env.observation import STAIR_FIELDS
+from stair_env.vectorized.errors import (
+    CALLERS_FAULTS,
+    EnvironmentsClosedError,
+    NoStepError,
+    StepPendingError,
+    WorkerError,
+)
 from stair_env.vectorized.lifetime import end_processes, exit_cause, start_context
 from stair_env.vectorized.shared_arrays import ArrayLayout, SharedArrays
 from stair_env.vectorized.wait import Watch
@@ -44,10 +51,6 @@ DEATH_CHECK_S = 1.0  # upper bound on how late a timeout is noticed
 BUILDING = "construction"
 LOOKUPS = ("call()", "get()")  # an AttributeError in these is the asker's, who may expect it
 EXIT_GRACE_S = 2.0  # for the exit code of a process whose pipe broke
-
-
-class WorkerError(RuntimeError):
-    """A worker process died, fell silent, or one of its environments raised."""
 
 
 class WorkerPool:
@@ -85,7 +88,7 @@ class WorkerPool:
         self.num_envs = len(factories)
         self._timeout_s = timeout_s
         self._broken: str | None = None
-        self._pending = False
+        self._closed = self._pending = False
         self._number = 0  # of the last request; an answer to an older one (Ctrl-C left it unread) is dropped
         ctx = start_context(context)
         arrays = SharedArrays(_layout(self.num_envs, observation_space, action_space), ctx)
@@ -126,14 +129,11 @@ class WorkerPool:
             actions: (num_envs, action size).
 
         Raises:
-            ValueError: wrong shape.
-            WorkerError: the pool is closed or broken, or a step is under way already.
+            ValueError: wrong shape, or not finite.
+            WorkerError: the pool is closed or broken, or a step is under way (`stair_env.vectorized.errors`).
         """
-        actions = np.asarray(actions)
-        if actions.shape != self.actions.shape:
-            raise ValueError(f"actions have shape {actions.shape}, must be {self.actions.shape}")
         self._check_ready()
-        self.actions[:] = actions
+        self.actions[:] = read_action(actions, self.actions.shape, "actions")
         self._number += 1
         message = pickle.dumps((self._number, "step", ()))
         for worker in range(len(self._processes)):
@@ -163,8 +163,10 @@ class WorkerPool:
         Raises:
             WorkerError: see the class.
         """
+        if self._broken:
+            self._refuse()
         if not self._pending:
-            raise WorkerError("no step is under way")
+            raise NoStepError("no step is under way: begin one first")
         self._pending = False
         return self._gather(range(len(self.shares)), "step()")
 
@@ -209,6 +211,7 @@ class WorkerPool:
 
     def close(self) -> None:
         """End the workers; safe to call twice."""
+        self._closed = self._broken is None or self._closed
         self._broken = self._broken or "the environments are closed"
         self._finalizer()
 
@@ -290,9 +293,11 @@ class WorkerPool:
         return answer
 
     def _raise_failure(self, answers: Mapping[int, Any], doing: str) -> None:
-        for worker, answer in answers.items():
+        for worker, answer in sorted(answers.items()):
             if isinstance(answer, Failure):
                 text = f"environment {answer.index} of worker {worker} raised in {doing}:\n{answer.text}"
+                if answer.fault is not None:
+                    raise CALLERS_FAULTS[answer.fault][1](text.replace("\n", " ", 1))
                 raise AttributeError(text) if answer.is_attribute_error and doing in LOOKUPS else WorkerError(text)
 
     def _report_death(self, worker: int, doing: str) -> NoReturn:
@@ -313,9 +318,14 @@ class WorkerPool:
 
     def _check_ready(self) -> None:
         if self._broken:
-            raise WorkerError(self._broken)
+            self._refuse()
         if self._pending:
-            raise WorkerError("a step is under way: finish it first")
+            raise StepPendingError("a step is under way: finish it first")
+
+    def _refuse(self) -> NoReturn:
+        if self._closed:
+            raise EnvironmentsClosedError("the environments are closed")
+        raise WorkerError(self._broken)
 
     def _name(self, worker: int) -> str:
         share = self.shares[worker]

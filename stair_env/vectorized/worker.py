@@ -20,6 +20,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from stair_env.vectorized.errors import CALLERS_FAULTS
 from stair_env.vectorized.shared_arrays import SharedArrays
 from stair_env.vectorized.wait import Watch
 
@@ -69,13 +70,23 @@ class Failure:
 
     Attributes:
         index: of the environment within the vector.
+        text: the traceback, or for a fault of the caller's the message.
         is_attribute_error: whether it was an AttributeError, which callers may expect.
-        text: the traceback.
+        fault: index in `CALLERS_FAULTS`, None for a fault of the environment.
     """
 
     index: int
-    is_attribute_error: bool
     text: str
+    is_attribute_error: bool = False
+    fault: int | None = None
+
+
+def failure_of(error: Exception, index: int) -> Failure:
+    """What is told of an exception that environment `index` raised."""
+    for number, (kind, _) in enumerate(CALLERS_FAULTS):
+        if isinstance(error, kind):
+            return Failure(index, str(error), fault=number)
+    return Failure(index, traceback.format_exc(), isinstance(error, AttributeError))
 
 
 class Worker:
@@ -112,7 +123,7 @@ class Worker:
         try:
             return self._commands[command](*arguments)
         except Exception as error:
-            return Failure(self.current, isinstance(error, AttributeError), traceback.format_exc())
+            return failure_of(error, self.current)
 
     def step(self) -> list[StepInfo]:
         """Step every environment with its row of the shared actions."""
@@ -254,7 +265,7 @@ def _answer(connection: Connection, worker: Worker, request: Request) -> None:
     try:
         message = _pickle((number, result))  # `send` is slow at small things
     except Exception:
-        message = pickle.dumps((number, Failure(worker.current, False, traceback.format_exc())))
+        message = pickle.dumps((number, Failure(worker.current, traceback.format_exc())))
     with contextlib.suppress(BrokenPipeError):
         connection.send_bytes(message)
 

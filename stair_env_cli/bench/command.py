@@ -48,12 +48,12 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
     measures = all_rows(args.backend)
     rows = [measures[name](args.rounds) for name in progress(args.only, description="bench")]
+    if args.json:
+        write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
     print(f"{'':<64}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
     for row in rows:
         wanted = "" if row.target is None else f">={row.target:g}"
         print(f"{row.name:<64}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
-    if args.json:
-        write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
     return 0
 
 

@@ -125,7 +125,7 @@ def test_the_block_is_right_in_spite_of_latency_and_goes_back_to_the_gait(wrappe
     assert block["step_height"] == pytest.approx(0.14, abs=1e-3)
     assert np.array_equal(wrapped.env.blocks[-1].as_array(), observation["stair"])
     assert len(wrapped.env.blocks) == 61
-    assert info["perceived"]["block"] == observation["stair"].tolist()
+    assert info["perceived"]["block"].tolist() == observation["stair"].tolist()
 
 
 def test_gravity_is_that_of_the_imu(wrapped: SimpleNamespace) -> None:

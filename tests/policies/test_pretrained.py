@@ -111,7 +111,7 @@ def test_batches_and_single_observations_agree(weights: Path, toy_id: str) -> No
 def test_changed_file_is_never_unpickled(file: str, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = weights / "toy" / file
     path.write_bytes(path.read_bytes() + b"x")
-    monkeypatch.setattr(pretrained, "_unpickle", lambda *args: pytest.fail("unpickled a changed file"))
+    monkeypatch.setattr(pretrained, "_rebuild", lambda *args: pytest.fail("unpickled a changed file"))
     with pytest.raises(PolicyError, match=f"{file} has SHA-256"):
         pretrained.load("toy", weights=weights)
 

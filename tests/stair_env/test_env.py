@@ -6,7 +6,9 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import stair_env
@@ -86,7 +88,7 @@ def test_an_episode_does_not_depend_on_those_before_it():
     first = climb(env, 11, steps=40)["truth"]
     for seed in range(3):
         climb(env, seed, steps=25)
-    assert climb(env, 11, steps=40)["truth"] == first
+    assert data_equivalence(climb(env, 11, steps=40)["truth"], first)
     env.close()
 
 
@@ -208,3 +210,100 @@ def test_specs_are_json_and_registration_is_idempotent():
     assert gym.make("stair_env:" + PLAIN).spec.id == PLAIN
     env.close()
     twin.close()
+
+
+def shape_of(info):
+    """Keys, types and shapes of everything in an info."""
+    if isinstance(info, dict):
+        return {key: shape_of(value) for key, value in info.items()}
+    return (type(info), info.shape, info.dtype) if isinstance(info, np.ndarray) else type(info)
+
+
+@pytest.mark.parametrize("env_id", stair_env.ENV_IDS)
+def test_infos_have_the_same_keys_and_types_at_reset_and_at_every_step(env_id):
+    """What stacks infos (replay buffers, recorders, vectors) needs a column to stay what it began as."""
+    env = gym.make(env_id, curriculum=True, max_episode_steps=30, camera={"width": 64})
+    _, info = env.reset(seed=0)
+    first = shape_of(info)
+    assert info["termination"] == "" and set(info["reward_terms"].values()) == {0.0}
+    assert not [value for part in (info, info["truth"]) for value in part.values() if isinstance(value, (list, tuple))]
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, info = env.step(env.action_space.low)
+        ended = terminated or truncated
+        assert shape_of(info) == first
+    assert shape_of(env.reset()[1]) == first
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def standing():
+    env = gym.make(PLAIN, disable_env_checker=True, max_episode_steps=10_000)
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 15), st.sampled_from([np.nan, np.inf, -np.inf]))
+def test_an_action_that_is_no_number_is_refused_and_harms_nothing(standing, index, value):
+    action = np.zeros(16, np.float32)
+    action[index] = value
+    with pytest.raises(ValueError, match=rf"action holds {value} at index {index}"):
+        standing.step(action)
+    observation, reward, *_ = standing.step(np.zeros(16, np.float32))
+    assert np.isfinite(reward) and np.isfinite(observation["proprio"]).all()
+
+
+@pytest.mark.parametrize("action", [None, "left", [[0.0] * 16], {"speed": 1.0}, [0.0] * 15 + ["x"]])
+def test_an_action_of_another_kind_is_refused(standing, action):
+    with pytest.raises(ValueError, match="action"):
+        standing.step(action)
+
+
+@pytest.mark.parametrize("env_id", stair_env.ENV_IDS)
+@pytest.mark.parametrize("camera", [{"nonsense": 1}, {"width": -5}, "fisheye", 3])
+def test_wrong_camera_options_are_told_by_every_id(env_id, camera):
+    with pytest.raises(ValueError, match=r"camera|width"):
+        gym.make(env_id, camera=camera)
+
+
+@pytest.mark.parametrize("env_id", stair_env.ENV_IDS)
+@pytest.mark.parametrize("kind", ["rgb_array", "depth_array"])
+def test_pictures_are_collected_on_every_id(env_id, kind):
+    env = gym.make(env_id, render_mode=f"{kind}_list", camera={"width": 64})
+    env.reset(seed=0)
+    env.step(np.zeros(16, np.float32))
+    pictures = env.render()
+    env.close()
+    assert len(pictures) == 2 and pictures[0].shape[:2] == (480, 640)
+
+
+@pytest.mark.parametrize("options", [{"x": np.nan}, {"y": "left"}, {"yaw": None}, {"stairs": 3}, {"stairs": {"a": 1}}])
+def test_wrong_reset_options_are_named_and_leave_the_episode_alone(options):
+    env = StairClimbEnv()
+    env.reset(seed=1)
+    before, stairs = env.np_random.bit_generator.state, env.stairs
+    told = r"StairSpec|field" if "stairs" in options else f"option {next(iter(options))}"
+    with pytest.raises(ValueError, match=told):
+        env.reset(seed=2, options=options)
+    assert env.np_random.bit_generator.state == before and env.stairs is stairs
+    env.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="about X displays")
+@pytest.mark.parametrize("display", [":77", "nowhere.invalid:0", "no display", ""])
+def test_a_display_that_nobody_serves_is_a_warning(display, monkeypatch, caplog):
+    monkeypatch.setenv("DISPLAY", display)
+    env = gym.make(PLAIN, render_mode="human")
+    env.reset(seed=0)
+    env.step(np.zeros(16, np.float32))
+    env.close()
+    assert "without a window" in caplog.text
+
+
+def test_nothing_is_printed_on_standard_output():
+    """A program's standard output is the program's; PyBullet echoes its options there."""
+    code = f"import gymnasium as gym, stair_env; e = gym.make('{PLAIN}'); e.reset(seed=0); e.close(); print('{{}}')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "{}\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stair_env
+from stair_env.common.validation import SpecError
 from stair_env.vector import WorkerVectorEnv, make_worker_vec
 from stair_env.vectorized.pool import WorkerError
 
@@ -333,8 +335,53 @@ def test_wrong_calls_are_named(toys: WorkerVectorEnv) -> None:
     for call, match in (
         (partial(toys.step, np.zeros((4, 2))), r"\(4, 2\).*\(5, 2\)"),
         (partial(toys.reset, seed=[1, 2]), "num_envs=5"),
-        (partial(toys.reset, options={"reset_mask": [True] * 5}), "reset_mask"),
+        (partial(toys.reset, options={"reset_mask": np.ones(4, bool)}), "reset_mask"),
+        (partial(toys.step, np.full((5, 2), np.nan)), r"actions holds nan at index \(0, 0\)"),
+        (partial(toys.call, "reset"), "reset"),
         (partial(toys.set_attr, "label", ["a"]), "num_envs=5"),
     ):
         with pytest.raises(ValueError, match=match):
             call()
+
+
+def test_a_mask_of_another_kind_is_a_type_error(toys: WorkerVectorEnv) -> None:
+    for mask in ([True] * 5, np.ones(5, int)):
+        with pytest.raises(TypeError, match="reset_mask"):
+            toys.reset(options={"reset_mask": mask})
+
+
+def test_gymnasiums_own_exceptions_say_what_was_called_out_of_turn(toys: WorkerVectorEnv) -> None:
+    with pytest.raises(gym.error.NoAsyncCallError):
+        toys.step_wait()
+    toys.reset(seed=0)
+    actions = np.zeros(toys.action_space.shape, np.float32)
+    toys.step_async(actions)
+    for call in (partial(toys.step_async, actions), toys.reset, partial(toys.call, "label")):
+        with pytest.raises(gym.error.AlreadyPendingCallError):
+            call()
+    toys.step_wait()
+    toys.close()
+    calls = (toys.reset, partial(toys.step, actions), toys.step_wait, partial(toys.call, "label"), toys.render)
+    for call in (*calls, partial(toys.set_attr, "label", 1)):
+        with pytest.raises(gym.error.ClosedEnvironmentError):
+            call()
+
+
+def test_a_vector_tells_its_mode_and_its_seeds(toys: WorkerVectorEnv) -> None:
+    toys.reset(seed=np.int64(7))
+    assert toys.autoreset_mode is toys.metadata["autoreset_mode"]
+    assert toys.np_random_seed == (7, 8, 9, 10, 11)
+    assert len({rng.bit_generator.state["state"]["state"] for rng in toys.np_random}) == 5
+
+
+def test_what_the_caller_did_wrong_keeps_its_name_across_processes() -> None:
+    vector = gym.make_vec("stair_env/StairClimb-v0", num_envs=2, workers=2, caller_steps=False)
+    try:
+        with pytest.raises(gym.error.ResetNeeded, match="environment 0 of worker 0"):
+            vector.step(np.zeros((2, 16), np.float32))
+        for options, match in (({"there": 1}, "option='there'"), ({"x": math.nan}, "option x=nan")):
+            with pytest.raises(SpecError, match=rf"environment 0 of worker 0.*{match}"):
+                vector.reset(seed=0, options=options)
+        vector.reset(seed=0)  # and nothing is broken by it
+    finally:
+        vector.close()

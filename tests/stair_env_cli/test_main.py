@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
+import os
 import subprocess
 import sys
 import types
@@ -12,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from stair_env_cli import arguments, main
 
@@ -121,3 +126,74 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 def test_json_option_refuses_a_directory(tmp_path: Path) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match="directory"):
         arguments.json_path(str(tmp_path))
+
+
+@pytest.mark.parametrize("name", sorted(main.COMMANDS))
+def test_help_is_written_for_people(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main.main([name, "--help"])
+    assert "%%" not in capsys.readouterr().out
+
+
+def test_results_on_standard_output_are_nothing_else(tmp_path: Path) -> None:
+    """`stair-env ... --json /dev/stdout | jq`: what is printed for people goes to standard error."""
+    command = [sys.executable, "-m", "stair_env_cli.main", "view", "--frames", "1", "--tile-width", "64"]
+    done = subprocess.run(
+        [*command, "--output", "view.png", "--json", "/dev/stdout"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert json.loads(done.stdout)["output"] == "view.png" and "view.png: 1 scenes" in done.stderr
+
+
+def test_a_closed_pipe_loses_no_results(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "stair_env_cli.main", "view", "--frames", "1", "--tile-width", "64"]
+    options = ["--output", str(tmp_path / "view.png"), "--json", str(tmp_path / "view.json")]
+    done = subprocess.run([*command, *options], stdout=writer, stderr=writer, check=False)
+    os.close(writer)
+    assert done.returncode == 0 and json.loads((tmp_path / "view.json").read_text())["frames"]
+
+
+def test_an_ascii_console_gets_every_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    code = "import sys; from stair_env_cli import main; sys.exit(main.main(['view', '--scene', sys.argv[1]]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, os.fsdecode(b"no such \xe9 \xe2\x82\xac.json")],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"},
+        check=False,
+    )
+    assert done.returncode == 2 and b"error" in done.stderr and b"Traceback" not in done.stderr
+
+
+def test_a_file_that_torch_cannot_write_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_command(monkeypatch, raising(RuntimeError("[enforce fail] PytorchStreamWriter failed writing file data/3")))
+    assert main.main(["view"]) == 2
+    assert "disk full" in capsys.readouterr().err
+
+
+TEXTS = ("", "-1", "0", "1", "7", "1e309", "nan", "inf", "-0", "x", ",", "0.1,", "{}", "[]", '{"a": 1}', "\ud800", "-")
+PIECES = st.sampled_from(TEXTS)
+
+
+@pytest.mark.parametrize("name", sorted(main.COMMANDS))
+@settings(max_examples=60)
+@given(data=st.data())
+def test_any_arguments_are_read_or_refused_with_code_2(name: str, data: st.DataObject) -> None:
+    module = main._import_command(name)
+    parser = main._build_parser(name, module)
+    options = [action for action in command_parser(parser, name)._actions if action.option_strings]
+    words = [name]
+    for action in data.draw(st.lists(st.sampled_from(options), max_size=4)):
+        words += [action.option_strings[0], *data.draw(st.lists(PIECES, max_size=2))]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            parser.parse_args(words)
+        except SystemExit as end:
+            assert end.code in (0, 2)
+
+
+def command_parser(parser: argparse.ArgumentParser, name: str) -> argparse.ArgumentParser:
+    choices = next(action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return choices[name]  # type: ignore[index]

@@ -6,7 +6,8 @@ Importing this module loads numba: do so when a frame is measured, not at the to
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 UNKNOWN, TREAD, RISER = 0, 1, 2
 

@@ -7,7 +7,8 @@ strips of N points; coordinates are (f, l, h) as in `perception.geometry.strips.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 TREAD, RISER = 1, 2
 SCATTER_FLOOR = 0.2  # added to the median residual: exact depth must not divide by zero

@@ -7,7 +7,8 @@ loads numba: do so when a frame is processed.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 _FLAT_PX = np.float32(2e-3)  # rounding of running sums; below it a pixel lies on a plane and is left as it is
 

@@ -11,7 +11,8 @@ Importing this module loads numba: do so when a frame is processed, not at the t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 CELL_PX = 8  # side of the squares over which texture and brightness are averaged
 _HIDDEN = np.float32(0.0)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stair_env.common.console import stdout_to_stderr
 from stair_env.intrinsics import Intrinsics
 from stair_env.scene.appearance import AppearanceSpec
 from stair_env.scene.shapes import Shape
@@ -196,7 +197,8 @@ def load_egl(client: Any) -> int:
         raise RuntimeError("renderer 'egl' needs PyBullet's eglRenderer plugin, which this build of PyBullet lacks")
     problem = _egl_problem()
     # The plugin ends the process when it finds no display, so it is loaded only where EGL was seen to work.
-    plugin = client.loadPlugin(spec.origin, "_eglRendererPlugin") if problem is None else -1
+    with stdout_to_stderr():
+        plugin = client.loadPlugin(spec.origin, "_eglRendererPlugin") if problem is None else -1
     if plugin < 0:
         raise RuntimeError(
             f"renderer 'egl' cannot start OpenGL ({problem or 'the plugin did not load'}): "

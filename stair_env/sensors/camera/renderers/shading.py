@@ -13,7 +13,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 TILE = 16  # pixels, as in `visibility`, so that a row of tiles needs no other row's depth
 AREA = TILE * TILE

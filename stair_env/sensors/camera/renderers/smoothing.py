@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 TILE = 16  # pixels, as in `visibility`
 SAMPLES = 4

@@ -14,7 +14,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from stair_env.common.compiling import njit
 
 BOX, SPHERE, CYLINDER, CAPSULE = 0, 1, 2, 3
 TILE = 16  # pixels
