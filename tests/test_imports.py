@@ -54,6 +54,7 @@ FLOW = (
     "policies.report",
     "policies.train",
     "policies.pretrained",
+    "policies.export_actor",
     "policies.evaluate",
     "stair_env_cli",
     "stair_env_cli.bench",

@@ -1,4 +1,4 @@
-"""Through the real SDK: rendered frames in by `rs.software_device`, the same frames out, live, recorded, played back."""
+"""Through the real SDK: rendered frames in by `rs.software_device`, the same frames out, live and played back."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-rs = pytest.importorskip("pyrealsense2", reason="RealSense devices need the extra stair-env[realsense]")
-
 from perception.lens.alignment import align_depth
 from perception.sources.opening import made_by_sdk, open_source
 from perception.sources.preparation import prepared
@@ -19,6 +17,8 @@ from perception.sources.realsense import RealSense, RealSenseOptions, open_devic
 from perception.sources.source import BrokenRecordingError, DeviceLostError, MissingImuError, RawFrame, SourceError
 from stair_env.intrinsics import Intrinsics
 from tests.perception.sources.conftest import CAMERA, drawn
+
+rs = pytest.importorskip("pyrealsense2", reason="RealSense devices need the extra stair-env[realsense]")
 
 
 class SoftwareDevice:
@@ -45,7 +45,13 @@ class SoftwareDevice:
             self._motion_sensor = self.device.add_sensor("Motion Module")
             for uid, kind, rate in ((3, rs.stream.accel, 250), (4, rs.stream.gyro, 200)):
                 stream = rs.motion_stream()
-                stream.type, stream.index, stream.uid, stream.fps, stream.fmt = kind, 0, uid, rate, rs.format.motion_xyz32f
+                stream.type, stream.index, stream.uid, stream.fps, stream.fmt = (
+                    kind,
+                    0,
+                    uid,
+                    rate,
+                    rs.format.motion_xyz32f,
+                )
                 self._motion[kind.name] = self._motion_sensor.add_motion_stream(stream, True)
 
     def show(self, frames: tuple[RawFrame, ...], pause_s: float = 0.0) -> None:
@@ -67,7 +73,11 @@ class SoftwareDevice:
         vector = rs.vector()
         vector.x, vector.y, vector.z = (float(value) for value in row[1:])
         sample.data = vector
-        sample.timestamp, sample.domain, sample.frame_number = 1000.0 * row[0], rs.timestamp_domain.hardware_clock, number
+        sample.timestamp, sample.domain, sample.frame_number = (
+            1000.0 * row[0],
+            rs.timestamp_domain.hardware_clock,
+            number,
+        )
         sample.profile = self._motion[name].as_motion_stream_profile()
         self._motion_sensor.on_motion_frame(sample)
 
@@ -117,7 +127,9 @@ def assert_same(found: list[RawFrame], shown: tuple[RawFrame, ...]) -> None:
         np.testing.assert_array_equal(a.rgb, b.rgb)
         np.testing.assert_allclose(a.depth_m, b.depth_m, atol=1e-6)
         np.testing.assert_allclose(
-            [a.lens.intrinsics.fx, a.lens.intrinsics.cx, a.lens.intrinsics.cy], [CAMERA.fx, CAMERA.cx, CAMERA.cy], atol=1e-4
+            [a.lens.intrinsics.fx, a.lens.intrinsics.cx, a.lens.intrinsics.cy],
+            [CAMERA.fx, CAMERA.cx, CAMERA.cy],
+            atol=1e-4,
         )
         assert abs(a.time_s - b.time_s) < 1e-6
 
@@ -183,7 +195,7 @@ def test_a_silent_device_is_lost_and_what_came_is_kept() -> None:
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(MissingImuError, match="accelerometer"):
         RealSense(SoftwareDevice(imu=False).device, "software", RealSenseOptions(320, 240, need_imu=True))
-    with pytest.raises(SourceError, match="RealSense.*found"):
+    with pytest.raises(SourceError, match=r"RealSense.*found"):
         open_device("no-such-number")
     device, path = SoftwareDevice(imu=False), tmp_path / "walk.db3"
     recorder = rs.recorder(str(path), device.device)

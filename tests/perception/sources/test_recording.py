@@ -23,8 +23,8 @@ def needs(kind: str) -> None:
         pytest.importorskip("rosbags", reason="ROS recordings need the extra stair-env[ros]")
 
 
-def write(path: Path, preparation: Preparation = Preparation()) -> list[SourceFrame]:
-    frames = list(prepared(ListSource(drawn()), preparation))
+def write(path: Path, preparation: Preparation | None = None) -> list[SourceFrame]:
+    frames = list(prepared(ListSource(drawn()), preparation or Preparation()))
     with recording(path) as recorder:
         for frame in frames:
             recorder.add(frame)

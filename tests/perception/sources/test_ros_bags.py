@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="ROS recordings need the extra stair-env[ros]")
-
 from perception.sources.opening import open_source
 from perception.sources.preparation import Preparation, prepared
 from perception.sources.recording import RosRecorder, recording
@@ -22,6 +20,8 @@ from perception.sources.source import (
     UnalignedDepthError,
 )
 from tests.perception.sources.conftest import ListSource, drawn
+
+pytest.importorskip("rosbags", reason="ROS recordings need the extra stair-env[ros]")
 
 
 class Bag:
@@ -37,7 +37,9 @@ class Bag:
         r = self._recorder
         if topic not in self._made:
             self._made[topic] = r._writer.add_connection(topic, f"sensor_msgs/msg/{kind}", typestore=r._store)
-        r._writer.write(self._made[topic], round(time_s * 1e9), r._store.serialize_cdr(message, f"sensor_msgs/msg/{kind}"))
+        r._writer.write(
+            self._made[topic], round(time_s * 1e9), r._store.serialize_cdr(message, f"sensor_msgs/msg/{kind}")
+        )
 
     def info(self, topic: str, frame_id: str = "colour") -> None:
         message = self._recorder._info(self.frame.intrinsics, 10.0)
