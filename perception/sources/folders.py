@@ -8,6 +8,7 @@ of a time in seconds and a file or three numbers. `camera.json` there holds intr
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,7 +129,8 @@ def read_pair(
             gravity = check_gravity(meta["gravity"])
         except ValueError as error:
             raise SourceError(f"{where}: {error}") from None
-    return RawFrame(colour.stem, time_s, rgb, depth_m, lens, gravity=gravity, hints=tuple(hints))
+    files = (str(colour),) if depth is None else (str(colour), str(depth))
+    return RawFrame(colour.stem, time_s, rgb, depth_m, lens, gravity=gravity, hints=tuple(hints), files=files)
 
 
 def _is_d435i_size(width: int, height: int) -> bool:
@@ -250,16 +252,7 @@ class TumFolder:
             raw = read_pair(colour, depth, self._options, self._meta, where, time_s)
             imu = [rows[(rows[:, 0] > last_s) & (rows[:, 0] <= time_s)] for rows in self._imu]
             last_s = time_s
-            yield RawFrame(
-                raw.name,
-                time_s,
-                raw.rgb,
-                raw.depth_m,
-                raw.lens,
-                imu=ImuSamples(*imu),
-                gravity=raw.gravity,
-                hints=raw.hints,
-            )
+            yield dataclasses.replace(raw, imu=ImuSamples(*imu))
 
     def close(self) -> None:
         """Nothing is held open."""

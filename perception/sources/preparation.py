@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from perception.estimator import check_gravity
 from perception.lens.calibration_files import read_extrinsics, read_lens
 from perception.lens.lenses import Lens, Rectifier
 from perception.sources.hints import frame_hints
@@ -33,6 +34,7 @@ class Preparation:
 
     Raises:
         SpecError: imu is none of its choices (a ValueError).
+        ValueError: gravity has no direction.
     """
 
     intrinsics: Path | None = None
@@ -43,6 +45,8 @@ class Preparation:
 
     def __post_init__(self) -> None:
         check_choice("imu", self.imu, IMU_USES)
+        if self.gravity is not None:
+            check_gravity(np.array(self.gravity))
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class SourceFrame:
         gravity_source: "given", "imu" or "none".
         hints: what looks wrong.
         imu: samples since the last frame.
+        files: colour and depth, for a frame that was read from files of its own.
     """
 
     name: str
@@ -69,6 +74,7 @@ class SourceFrame:
     gravity_source: str
     hints: tuple[str, ...] = ()
     imu: ImuSamples = field(default_factory=ImuSamples)
+    files: tuple[str, ...] = ()
 
 
 def prepared(source: Source, preparation: Preparation = Preparation()) -> Iterator[SourceFrame]:
@@ -126,6 +132,7 @@ class Preparer:
             gravity_source,
             hints,
             raw.imu,
+            raw.files,
         )
 
     def _depth(self, raw: RawFrame, lens: Lens) -> np.ndarray | None:

@@ -79,6 +79,7 @@ class RawFrame:
         imu: samples since the last frame.
         gravity: (3,) that the source states for this frame (a side-car), camera axes; None when it states none.
         hints: what looks wrong about the files that the frame came from.
+        files: colour and depth, for a frame that was read from files of its own.
     """
 
     name: str
@@ -91,6 +92,7 @@ class RawFrame:
     imu: ImuSamples = field(default_factory=ImuSamples)
     gravity: np.ndarray | None = None
     hints: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
 
 class Source(Protocol):
