@@ -6,15 +6,17 @@ DEMO_DIR ?= runs/demo
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log.py
 # One thread a process: the tests and the workers bring their own parallelism.
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow lint bench clean
+.PHONY: help install demo test test-slow test-device lint bench clean
 
 help:
 	@echo "make demo       the shipped policy climbs on what its camera sees; writes a video"
 	@echo "make test       the test suite (make test-slow: training and soak tests)"
+	@echo "make test-device  devices, ROS recordings and Rerun: installs these extras, and runs their tests"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      time ratios against bare PyBullet and naive chains"
 	@echo "make install    only the virtual environment $(VENV)"
@@ -35,6 +37,14 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -m slow -q tests
+
+# The extras of a real camera; pyrealsense2's wheel also needs Debian's libusb-1.0-0, without which its tests are skipped.
+test-device: $(VENV)/.device
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -rs $(DEVICE_TESTS)
+
+$(VENV)/.device: $(STAMP)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,rerun]'
+	@touch $@
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

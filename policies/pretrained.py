@@ -38,14 +38,15 @@ class Policy:
     Attributes:
         name: shipped name, or the folder it came from.
         card: how it was trained and how well it does.
+        model, normalisation: of Stable-Baselines3; no normalisation is None.
         observation_space, action_space: what it was trained on.
     """
 
     def __init__(self, name: str, model: BaseAlgorithm, normalisation: Any, card: Mapping[str, Any]) -> None:
         self.name = name
         self.card = dict(card)
-        self._model = model
-        self._normalisation = normalisation
+        self.model = model
+        self.normalisation = normalisation
         self.observation_space: gym.Space = model.observation_space
         self.action_space: gym.Space = model.action_space
 
@@ -62,9 +63,9 @@ class Policy:
         Returns:
             (action float32, state), as SB3's `predict`.
         """
-        if self._normalisation is not None:
-            observation = self._normalisation.normalize_obs(observation)
-        return self._model.predict(observation, state, episode_start, deterministic)
+        if self.normalisation is not None:
+            observation = self.normalisation.normalize_obs(observation)
+        return self.model.predict(observation, state, episode_start, deterministic)
 
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.

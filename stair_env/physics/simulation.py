@@ -18,15 +18,15 @@ import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
+from stair_env.common.constants import CONTROL_DT as CONTROL_DT
+from stair_env.common.constants import CONTROL_RATE_HZ as CONTROL_RATE_HZ
 from stair_env.common.constants import GRAVITY_M_S2
+from stair_env.common.constants import PHYSICS_RATE_HZ as PHYSICS_RATE_HZ
+from stair_env.common.constants import SUBSTEPS as SUBSTEPS
 from stair_env.physics.body_kernels import ANGULAR_VELOCITY, POSITION, READING_WIDTH, ROTATION, VELOCITY, trace_trunk
 from stair_env.robots import NUM_JOINTS, RobotSpec
 from stair_env.scene.shapes import Shape
 
-PHYSICS_RATE_HZ = 240
-SUBSTEPS = 5
-CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
-CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
 POSITION_GAIN, VELOCITY_GAIN = 0.03, 0.8  # Bullet's position motor, with velocities fed forward (docs/climbing.md)
 FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
 SHAPE_COLOURS = {

@@ -1,4 +1,4 @@
-"""The robot's side walks as the environment does: joint targets equal over a whole flight, and nothing heavy is loaded."""
+"""The robot's side walks as the environment does: equal joint targets over a whole flight; nothing heavy is loaded."""
 
 from __future__ import annotations
 

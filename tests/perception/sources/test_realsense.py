@@ -18,7 +18,9 @@ from perception.sources.source import BrokenRecordingError, DeviceLostError, Mis
 from stair_env.intrinsics import Intrinsics
 from tests.perception.sources.conftest import CAMERA, drawn
 
-rs = pytest.importorskip("pyrealsense2", reason="RealSense devices need the extra stair-env[realsense]")
+rs = pytest.importorskip(
+    "pyrealsense2", reason="RealSense devices need the extra stair-env[realsense]", exc_type=ImportError
+)
 
 
 class SoftwareDevice:
