@@ -6,7 +6,7 @@ DEMO_DIR ?= runs/demo
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log.py
+DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log.py tests/policies/report/test_flight_log.py
 # One thread a process: the tests and the workers bring their own parallelism.
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 

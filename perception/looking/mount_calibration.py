@@ -256,8 +256,8 @@ def _joint_fit(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The up (3,) that levels share, and 1 / height of each (count,), by least squares of inverse depth.
 
-    inverse = -(up . ray) / height_level. A level alone, a tread seen flat, hardly knows its tilt: up and all heights are
-    solved together, by Gauss and Newton's steps from a first up.
+    inverse = -(up . ray) / height_level. A level alone, a tread seen flat, hardly knows its tilt: up and all heights
+    are solved together, by Gauss and Newton's steps from a first up.
     """
     along = -(rays @ up)
     scale = np.bincount(labels, along * inverse, count) / np.maximum(np.bincount(labels, along * along, count), 1e-12)

@@ -17,7 +17,7 @@ def when_imported(name: str, action: Callable[[], None]) -> None:
         name: of a top-level package.
         action: is called once.
     """
-    if name in sys.modules:
+    if sys.modules.get(name) is not None:  # None: somebody forbade the import
         action()
     else:
         sys.meta_path.insert(0, _Watcher(name, action))
