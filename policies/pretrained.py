@@ -38,17 +38,18 @@ class Policy:
         name: shipped name, or the folder it came from.
         card: how it was trained and how well it does.
         algorithm: that trained it, a name in `policies.saved_models.ALGORITHMS`.
+        model, normalisation: of Stable-Baselines3; no normalisation is None.
         observation_space, action_space: what it was trained on.
     """
 
     def __init__(self, name: str, model: SavedModel, normalisation: Any, card: Mapping[str, Any]) -> None:
         self.name = name
         self.card = dict(card)
-        self.algorithm, self._model = model
-        self._normalisation = normalisation
+        self.algorithm, self.model = model
+        self.normalisation = normalisation
         self._flattened: gym.spaces.Dict | None = None  # what the environment gives, to a policy that reads one vector
-        self.observation_space: gym.Space = self._model.observation_space
-        self.action_space: gym.Space = self._model.action_space
+        self.observation_space: gym.Space = self.model.observation_space
+        self.action_space: gym.Space = self.model.action_space
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -66,9 +67,9 @@ class Policy:
         """
         if self._flattened is not None:
             observation = flatten(self._flattened, observation)
-        if self._normalisation is not None:
-            observation = self._normalisation.normalize_obs(observation)
-        return self._model.predict(observation, state, episode_start, deterministic)
+        if self.normalisation is not None:
+            observation = self.normalisation.normalize_obs(observation)
+        return self.model.predict(observation, state, episode_start, deterministic)
 
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.

@@ -1,15 +1,14 @@
 """Gymnasium stair climbing for legged robots with a simulated RealSense D435i.
 
-Importing this package registers the environments; nothing heavy is loaded until one is made.
+Importing this package registers the environments; nothing heavy is loaded until one is made. What runs on a robot needs
+no Gymnasium: then it is not loaded, and the ids are registered as soon as somebody else imports it.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
-
-from stair_env.common import moved, shadowing
+from stair_env.common import late_import, moved, shadowing
 
 __version__ = "0.1.0"
 
@@ -33,6 +32,8 @@ ENV_IDS = tuple(_ENTRY_POINTS)
 
 def register_envs() -> None:
     """Register the environment ids with Gymnasium; calling it again changes nothing."""
+    import gymnasium
+
     for env_id, spec in _ENTRY_POINTS.items():
         if env_id not in gymnasium.registry:
             gymnasium.register(id=env_id, max_episode_steps=MAX_EPISODE_STEPS, **spec)
@@ -40,4 +41,4 @@ def register_envs() -> None:
 
 moved.install(__name__)
 shadowing.install()
-register_envs()
+late_import.when_imported("gymnasium", register_envs)

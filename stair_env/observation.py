@@ -8,10 +8,12 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
 
 STAIR_FIELDS = (
     "valid",  # 1 while stairs are known, else 0 and every other field 0
@@ -96,11 +98,15 @@ NO_STAIRS = StairBlock()
 
 def stair_space() -> spaces.Box:
     """Space of the stair block."""
+    from gymnasium import spaces
+
     return spaces.Box(STAIR_LOW, STAIR_HIGH, dtype=np.float32)
 
 
 def proprio_space(action_size: int = 16) -> spaces.Box:
     """Space of the proprioceptive block, fields in the order of PROPRIO_FIELDS."""
+    from gymnasium import spaces
+
     low, high = _proprio_bounds(PROPRIO_SLICES["last_action"].start + action_size)
     return spaces.Box(low, high, dtype=np.float32)
 

@@ -10,6 +10,7 @@ from stair_env_cli.arguments import add_common_arguments, limit_threads, positiv
 
 PAPER_TRAIN_IMAGES = 4776  # RGB and depth images together (paper, data set introduction)
 PAPER_VAL_IMAGES = 1216
+LAYOUTS = ("ours", "authors")
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -38,6 +39,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="depth images more a frame, matched from infrared pairs of "
         "random stereo cameras, in folders depthes_stereo1 and so on (%(default)s)",
     )
+    parser.add_argument(
+        "--layout",
+        choices=LAYOUTS,
+        default="ours",
+        help="authors: 8-bit depth and segmentation masks, as the training code of the paper's authors reads them",
+    )
     parser.add_argument("--workers", type=positive_int, default=1, help="processes (%(default)s)")
     add_common_arguments(parser)
 
@@ -61,6 +68,12 @@ def run(args: argparse.Namespace) -> int:
     for _ in progress(write_missing(plan, args.workers), total=total, description="frames"):
         pass
     summary = complete(plan)
+    if args.layout == "authors":
+        from perception.data.authors_layout import convert
+
+        for split in plan.frames:
+            for _ in progress(convert(args.output / split), description=f"layout of {split}"):
+                pass
     if args.json:
         write_json(args.json, summary, seed=args.seed)
     print(f"{args.output}: {summary['images']} images, {summary['day']} of them by day and {summary['night']} by night")

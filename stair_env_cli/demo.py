@@ -22,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
     parser.add_argument("--direction", choices=EPISODE_DIRECTIONS, default="both", help="(%(default)s)")
     parser.add_argument("--lighting", choices=DEMO_LIGHTINGS, default="both", help="(%(default)s)")
+    parser.add_argument("--rerun", type=Path, metavar="FILE", help="also a recording for the Rerun viewer (.rrd)")
     add_common_arguments(parser)
 
 
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     with progress_bar(None, f"climbing {args.episodes} flights", unit="step") as bar:
-        summary = run_demo(config, args.output, bar.update)
+        summary = run_demo(config, args.output, bar.update, args.rerun)
     write_json(args.output / "summary.json", summary, seed=args.seed)
     if args.json:
         write_json(args.json, summary, seed=args.seed)

@@ -65,6 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--film", type=Path, metavar="FOLDER", help="film the first failure and the first success of each source"
     )
+    parser.add_argument("--rerun", type=Path, metavar="FOLDER", help="the same episodes for the Rerun viewer (.rrd)")
     parser.add_argument(
         "--resume",
         action="store_true",
@@ -120,6 +121,9 @@ def run(args: argparse.Namespace) -> int:
         from policies.report.figures import draw_success
 
         draw_success(results["cells"], args.figure)
+    if args.rerun:
+        for path in evaluation.log_chosen(config, records, args.rerun):
+            print(f"rerun: {path}")
     if args.film:
         for video in evaluation.film_chosen(config, records, args.film):
             print(f"video: {video}")

@@ -1,41 +1,44 @@
-"""`stair-env perceive`: measure stairs in RGB-D images."""
+"""`stair-env perceive`: measure stairs in what a camera sees, a recording holds, or files show."""
 
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
+import itertools
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stair_env.common.constants import GEOMETRY_METHODS, LEVEL_CAMERA_GRAVITY, NETWORK_WIDTHS
-from stair_env_cli.arguments import add_backend_argument, add_common_arguments, progress, write_json
+from stair_env.common.constants import GEOMETRY_METHODS, NETWORK_WIDTHS
+from stair_env_cli.arguments import add_backend_argument, add_common_arguments, write_json
+from stair_env_cli.source_arguments import AUTO, add_source_arguments, open_from
+
+if TYPE_CHECKING:
+    from perception.estimator import StairEstimator
+    from perception.looking.frame_measurement import Measurement
+    from perception.sources.preparation import SourceFrame
+
+EXIT_ENDED_EARLY = 2  # the source broke off; what came before is in the results
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "perceive",
-        help="measure stairs in RGB-D images",
-        description="Find stair lines in RGB-D images, cluster them, measure the steps, and draw what was found.",
-        epilog="An optional NAME.json beside an image (fx, fy, cx, cy, gravity, depth_scale) overrides the options.",
+        help="measure stairs in RGB-D images, a recording, or what a RealSense sees",
+        description="Find stair lines, cluster them, measure the steps, and draw what was found. Without depth only "
+        "lines are found. A NAME.json beside an image (intrinsics, gravity, depth_scale) overrides the options.",
     )
-    parser.add_argument("rgb", type=Path, metavar="RGB", help="colour image (png, jpg), or a folder of them")
-    parser.add_argument("depth", type=Path, metavar="DEPTH", help="depth image aligned to it, or a folder, same names")
-    parser.add_argument(
-        "--gravity",
-        type=float,
-        nargs=3,
-        metavar=("GX", "GY", "GZ"),
-        default=LEVEL_CAMERA_GRAVITY,
-        help="accelerometer at rest in the camera frame, x right, y down, z forward (level: 0 -9.8 0)",
-    )
-    parser.add_argument("--intrinsics", type=Path, metavar="FILE", help="JSON with fx, fy, cx, cy (default: a D435i's)")
-    parser.add_argument(
-        "--depth-scale", type=float, default=0.001, metavar="M", help="metres a unit of 16-bit depth (%(default)s)"
-    )
+    add_source_arguments(parser)
     parser.add_argument("--width", type=float, choices=NETWORK_WIDTHS, default=0.25, help="of StairNetV2 (%(default)s)")
     add_backend_argument(parser)
     parser.add_argument("--method", choices=GEOMETRY_METHODS, default="planes", help="geometry (%(default)s)")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE", help="write the frames as .bag, .db3, .mcap, or a folder (no ending)"
+    )
+    parser.add_argument("--rerun", type=Path, metavar="FILE", help="write a recording for the Rerun viewer (.rrd)")
     parser.add_argument("--output", type=Path, default=Path("perceived"), help="folder for pictures (%(default)s)")
     parser.add_argument("--no-pictures", action="store_true", help="write no annotated images")
     add_common_arguments(parser)
@@ -43,44 +46,106 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure every frame; print one line each, write pictures and JSON."""
-    from perception.data.frame_files import FrameOptions, pair_files, read_frame
     from perception.drawing import draw_report
     from perception.estimator import StairEstimator
+    from perception.sources.source import SourceError
 
-    options = FrameOptions(_read_intrinsics(args.intrinsics), tuple(args.gravity), args.depth_scale)
-    pairs = pair_files(args.rgb, args.depth)
-    estimator = StairEstimator(args.width, args.backend, method=args.method)
-    frames: list[dict[str, Any]] = []
-    for rgb_path, depth_path in progress(pairs, description="perceive") if len(pairs) > 1 else pairs:
-        frame = read_frame(rgb_path, depth_path, options)
-        grid = estimator.detect(frame.rgb, frame.depth_m)
-        estimate = estimator.interpret(*grid, frame.depth_m, frame.intrinsics, frame.gravity)
-        entry = {"rgb": str(rgb_path), "depth": str(depth_path), **estimate.to_dict()}
-        if not args.no_pictures:
-            entry["picture"] = str(_write_picture(args.output, frame.name, draw_report(frame.rgb, estimate, grid)))
-        frames.append(entry)
+    source, preparation = open_from(args)
+    entries: list[dict[str, Any]] = []
+    failure: SourceError | None = None
+    try:
+        estimator = StairEstimator(args.width, args.backend, method=args.method)
+        with _outputs(args) as outputs:
+            for measured, seconds in _measured(args, source, preparation, estimator):
+                entry = measured.to_dict()
+                if not args.no_pictures:
+                    picture = draw_report(measured.frame.rgb, measured.estimate, measured.grid)
+                    entry["picture"] = str(_write_picture(args.output, measured.frame.name, picture))
+                for output in outputs:
+                    output(measured)
+                entries.append(entry)
+                _print(measured, seconds)
+    except SourceError as error:
+        failure = error
+    finally:
+        source.close()
     if args.json is not None:
-        write_json(args.json, {"frames": frames}, seed=args.seed)
-    _print(frames)
+        error_text = {} if failure is None else {"error": str(failure)}
+        write_json(args.json, {"source": source.name, "frames": entries, **error_text}, seed=args.seed)
+    if failure is not None:
+        if not entries:
+            raise failure
+        print(f"stair-env perceive: error: {failure}", file=sys.stderr)
+        return EXIT_ENDED_EARLY
+    if not entries:
+        raise ValueError(f"{source.name}: holds no frame")
     return 0
 
 
-def _read_intrinsics(path: Path | None) -> dict[str, float] | None:
-    """The JSON object of an intrinsics file.
+def _measured(
+    args: argparse.Namespace, source: Any, preparation: Any, estimator: StairEstimator
+) -> Iterator[tuple[Measurement, tuple[float, float]]]:
+    """Each frame's measurement, with the seconds it took and since the one before was there."""
+    from perception.looking.frame_measurement import measure_frame
+    from perception.sources.preparation import prepared
 
-    Raises:
-        ValueError: the file is no JSON object.
-        OSError: it cannot be read.
-    """
-    if path is None:
-        return None
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not JSON: {error}") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"{path}: must be a JSON object with fx, fy, cx, cy")
-    return values
+    last = time.perf_counter()
+    scale = _GreyScale(estimator) if args.grey_level == AUTO else None
+    for frame in itertools.islice(prepared(source, preparation), args.frames):
+        start = time.perf_counter()
+        measured = measure_frame(estimator, frame if scale is None else scale.apply(frame))
+        now = time.perf_counter()
+        yield measured, (now - start, now - last)
+        last = now
+
+
+class _GreyScale:
+    """Puts 8-bit depth on the scale that the stairs in the first good frame suggest."""
+
+    def __init__(self, estimator: StairEstimator) -> None:
+        self._estimator, self._factor = estimator, 0.0
+
+    def apply(self, frame: SourceFrame) -> SourceFrame:
+        import dataclasses
+
+        import numpy as np
+
+        from perception.data.stair_dataset import GREY_LEVEL_M
+        from perception.looking.grey_scale import estimate_grey_level
+        from perception.sources.hints import GREY_DEPTH
+        from stair_env.common.constants import LEVEL_CAMERA_GRAVITY
+
+        if GREY_DEPTH not in frame.hints or frame.depth_m is None:
+            return frame
+        if not self._factor:
+            levels = np.rint(frame.depth_m / GREY_LEVEL_M).astype(np.uint8)
+            gravity = frame.gravity if frame.gravity is not None else np.array(LEVEL_CAMERA_GRAVITY)
+            found = estimate_grey_level(frame.rgb, levels, frame.intrinsics, gravity, self._estimator)
+            if found is None:
+                return frame
+            self._factor = found[0] / GREY_LEVEL_M
+            print(f"8-bit depth: {1000 * found[0]:.2f} ± {1000 * found[1]:.2f} mm a level, from the steps in view")
+        level = 1000 * self._factor * GREY_LEVEL_M
+        said = f"depth-8-bit: {level:.2f} mm a level, estimated from the rule for steps; sizes carry its 5 %"
+        hints = tuple(said if hint == GREY_DEPTH else hint for hint in frame.hints)
+        return dataclasses.replace(frame, depth_m=frame.depth_m * np.float32(self._factor), hints=hints)
+
+
+@contextlib.contextmanager
+def _outputs(args: argparse.Namespace) -> Iterator[list[Any]]:
+    """What each measurement is given to beside the results."""
+    with contextlib.ExitStack() as stack:
+        outputs: list[Any] = []
+        if args.record is not None:
+            from perception.sources.recording import recording
+
+            recorder = stack.enter_context(recording(args.record))
+            outputs.append(lambda measured: recorder.add(measured.frame))
+        if args.rerun is not None:
+            from perception.looking.rerun_log import rerun_log
+
+            outputs.append(stack.enter_context(rerun_log(args.rerun)).add)
+        yield outputs
 
 
 def _write_picture(folder: Path, name: str, image: Any) -> Path:
@@ -91,8 +156,15 @@ def _write_picture(folder: Path, name: str, image: Any) -> Path:
     return path
 
 
-def _print(frames: list[dict[str, Any]]) -> None:
-    for frame in frames:
-        sizes = "  ".join(f"{1000 * s['width_m']:.0f}x{1000 * s['height_m']:.0f}" for s in frame["steps"])
-        found = f"{frame['direction']}, {len(frame['lines'])} lines, width x height in mm: {sizes or '-'}"
-        print(f"{Path(frame['rgb']).name}: {found if frame['valid'] else 'no stairs measured: ' + frame['reason']}")
+def _print(measured: Measurement, seconds: tuple[float, float]) -> None:
+    """A line a frame: what was found, how long it took, and how many come a second."""
+    estimate, (latency, between) = measured.estimate, seconds
+    sizes = "  ".join(f"{1000 * step.width_m:.0f}x{1000 * step.height_m:.0f}" for step in estimate.steps)
+    found = f"{estimate.direction_name}, {len(estimate.lines)} lines, width x height in mm: {sizes or '-'}"
+    if not estimate.valid:
+        found = f"no stairs measured: {estimate.reason} ({len(estimate.lines)} lines)"
+    gravity = "" if measured.gravity_source in ("given", "imu") else f"  [gravity: {measured.gravity_source}]"
+    timing = f"{1000 * latency:.0f} ms, {1.0 / max(between, 1e-6):.1f} a second"
+    print(f"{measured.frame.name}: {found}{gravity}  ({timing})")
+    for hint in measured.frame.hints:
+        print(f"  hint: {hint}")

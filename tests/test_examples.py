@@ -66,8 +66,11 @@ def walk_alone(kwargs: dict[str, Any], steps: int) -> tuple[np.ndarray, list[flo
     return observation["proprio"], rewards
 
 
+NEED_A_ROBOT = {"ros2_node.py"}  # tested with stand-ins: tests/examples
+
+
 def test_every_example_is_listed() -> None:
-    assert {path.name for path in EXAMPLES.glob("*.py")} == set(ARGUMENTS)
+    assert {path.name for path in EXAMPLES.glob("*.py")} == set(ARGUMENTS) | NEED_A_ROBOT
 
 
 def test_training_example_stays_short() -> None:

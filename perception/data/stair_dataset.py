@@ -22,7 +22,9 @@ from stair_env.common.images import read_image
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MILLIMETRE = 0.001
 DEPTHS = "depthes"  # folder name of the public set
-GREY_LEVEL_M = 8.0 / 255.0  # metres a grey level of 8-bit depth; the public set states none, 8 m is a D435i's reach
+# Metres a grey level of 8-bit depth. The public set states none: stairs one to two metres away lie at levels 151 to 255
+# there, which is 6.6 to 7.8 mm. `perception.looking.grey_scale` estimates it from frames.
+GREY_LEVEL_M = 0.007
 
 
 class DatasetError(ValueError):

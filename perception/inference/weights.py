@@ -155,10 +155,10 @@ def export_onnx(network: StairNetV2, path: Path) -> None:
             external_data=False,
             verbose=False,
         )
-        _strip_traces(temporary)
+        strip_traces(temporary)
 
 
-def _strip_traces(path: Path) -> None:
+def strip_traces(path: Path) -> None:
     """Take out of an exported file where in the source each operation came from, which is most of its text."""
     import onnx
 

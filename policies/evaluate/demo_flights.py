@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from policies import pretrained
 from policies.make_env import PERCEPTION_ID, make_env
 from policies.report.film import Film, open_video
-from policies.rollout import Episode, measurement_summary, run_episode
+from policies.rollout import Episode, StepHook, measurement_summary, run_episode
 from stair_env.common.constants import DEMO_LIGHTINGS, EPISODE_DIRECTIONS
 from stair_env.common.validation import check_choice
 
@@ -65,13 +66,16 @@ class DemoConfig:
         }
 
 
-def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None] | None = None) -> dict[str, Any]:
+def run_demo(
+    config: DemoConfig, folder: Path | str, on_step: Callable[[], None] | None = None, rerun: Path | None = None
+) -> dict[str, Any]:
     """Climb, film and summarise.
 
     Args:
         config: what to show.
         folder: gets `demo.mp4`.
         on_step: called after each control step.
+        rerun: a recording for the Rerun viewer (.rrd), written beside the film.
 
     Returns:
         `success_rate`, `episodes`, `rmse_mm` by `policies.rollout.ERRORS`, `video`, and `flights` one by one.
@@ -85,7 +89,13 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
     seeds = np.random.SeedSequence(config.seed).generate_state(config.episodes)
     flights: list[dict[str, Any]] = []
     episodes: list[Episode] = []
-    with open_video(video) as writer:
+    with contextlib.ExitStack() as stack:
+        opened = None
+        if rerun is not None:
+            from policies.report.flight_log import FlightLog, open_flights
+
+            opened = stack.enter_context(open_flights(rerun))
+        writer, time_s = stack.enter_context(open_video(video)), 0.0
         for index in range(config.episodes):
             setting = config.flight(index)
             title = f"flight {index + 1} of {config.episodes}: {setting['direction']}, {setting['lighting']}"
@@ -93,7 +103,10 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
             try:
                 film = Film(env, writer, title, on_step)
                 policy = pretrained.load(policy_name, env)
-                episode = run_episode(env, policy, int(seeds[index]), on_step=film.add)
+                log = None if opened is None else FlightLog(opened, env, time_s)
+                hook = film.add if log is None else _both(film.add, log.add)
+                episode = run_episode(env, policy, int(seeds[index]), on_step=hook)
+                time_s = 0.0 if log is None else log.time_s
                 film.finish(episode)
             finally:
                 env.close()
@@ -108,6 +121,16 @@ def run_demo(config: DemoConfig, folder: Path | str, on_step: Callable[[], None]
         "policy": policy_name,
         "flights": flights,
     }
+
+
+def _both(first: StepHook, second: StepHook) -> StepHook:
+    """A hook that calls two."""
+
+    def hook(observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
+        first(observation, info)
+        second(observation, info)
+
+    return hook
 
 
 def _make_env(config: DemoConfig, setting: Mapping[str, Any]) -> gym.Env:

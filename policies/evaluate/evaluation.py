@@ -217,23 +217,44 @@ def film_chosen(config: EvaluationConfig, records: Records, folder: Path | str) 
     """
     from policies.report.film import Film, open_video
 
-    cells, videos = config.cells(), []
+    videos = []
+    for env, policy, job, seed, name, title in _chosen(config, records, {"render_mode": "rgb_array"}):
+        videos.append(Path(folder) / f"{name}.mp4")
+        with open_video(videos[-1]) as writer:
+            film = Film(env, writer, title)
+            film.finish(run_episode(env, policy, seed, options=job.options, on_step=film.add))
+    return videos
+
+
+def log_chosen(config: EvaluationConfig, records: Records, folder: Path | str) -> list[Path]:
+    """The same episodes as `film_chosen`, for the Rerun viewer: `SOURCE_success.rrd` and `SOURCE_failure.rrd`."""
+    from policies.report.flight_log import FlightLog, open_flights
+
+    paths = []
+    for env, policy, job, seed, name, _ in _chosen(config, records, {}):
+        paths.append(Path(folder) / f"{name}.rrd")
+        with open_flights(paths[-1]) as opened:
+            run_episode(env, policy, seed, options=job.options, on_step=FlightLog(opened, env).add)
+    return paths
+
+
+def _chosen(
+    config: EvaluationConfig, records: Records, env_kwargs: Mapping[str, Any]
+) -> Iterator[tuple[gym.Env, Predictor, Job, int, str, str]]:
+    """Of each source the first episode that failed and the first that succeeded: what flies it, its name and title."""
+    cells, named = config.cells(), set()
     with contextlib.closing(_Worker()) as worker:
         for job in plan_jobs(config, cells):
             for seed in job.seeds:
                 episode = next(e for e in records[job.source, job.cell_index] if e.seed == seed)
-                path = Path(folder) / f"{job.source}_{'success' if episode.success else 'failure'}.mp4"
-                if path in videos:
+                name = f"{job.source}_{'success' if episode.success else 'failure'}"
+                if name in named:
                     continue
-                videos.append(path)
-                filmed = dataclasses.replace(job, env_kwargs={**job.env_kwargs, "render_mode": "rgb_array"})
-                env, policy = worker.prepare(filmed)
+                named.add(name)
+                shown = dataclasses.replace(job, env_kwargs={**job.env_kwargs, **env_kwargs})
                 cell = cells[job.cell_index]
                 title = " ".join(filter(None, [f"{job.source},", cell.direction, cell.name]))
-                with open_video(path) as writer:
-                    film = Film(env, writer, title)
-                    film.finish(run_episode(env, policy, seed, options=job.options, on_step=film.add))
-    return videos
+                yield *worker.prepare(shown), job, seed, name, title
 
 
 def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:

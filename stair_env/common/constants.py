@@ -14,6 +14,12 @@ STANDARD_GRAVITY_M_S2 = 9.80665  # one g: the unit of an accelerometer's range, 
 NOMINAL_GRAVITY_M_S2 = 9.8  # length of gravity vectors of which only the direction counts, as in the paper
 LEVEL_CAMERA_GRAVITY = (0.0, -NOMINAL_GRAVITY_M_S2, 0.0)  # accelerometer at rest in a level camera's axes
 
+# Time: physics runs in steps, of which several make a control step.
+PHYSICS_RATE_HZ = 240
+SUBSTEPS = 5
+CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
+CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
+
 # Staircases.
 RISER_RANGE_M = (0.02, 0.25)  # buildable; real stairs are 0.08-0.20, a curriculum starts lower
 TREAD_RANGE_M = (0.15, 0.60)

@@ -16,7 +16,11 @@ import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
 
+from stair_env.common.constants import CONTROL_DT as CONTROL_DT
+from stair_env.common.constants import CONTROL_RATE_HZ as CONTROL_RATE_HZ
 from stair_env.common.constants import GRAVITY_M_S2
+from stair_env.common.constants import PHYSICS_RATE_HZ as PHYSICS_RATE_HZ
+from stair_env.common.constants import SUBSTEPS as SUBSTEPS
 from stair_env.common.validation import SpecError, check_choice
 from stair_env.physics.body_kernels import (
     ANGULAR_VELOCITY,
@@ -33,10 +37,6 @@ from stair_env.physics.display import display_problem
 from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
-PHYSICS_RATE_HZ = 240
-SUBSTEPS = 5
-CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
-CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
 # Of Bullet's position motor, with velocities fed forward (docs/climbing.md).
 POSITION_GAINS, VELOCITY_GAINS = [0.03] * NUM_JOINTS, [0.8] * NUM_JOINTS
 FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet

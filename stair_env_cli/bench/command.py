@@ -26,6 +26,12 @@ NAMES = (
     "perceived-frame",
     "perceived-frame-walking",
     "batch",
+    "deploy-body",
+    "deploy-network",
+    "deploy-geometry",
+    "deploy-tracker",
+    "deploy-policy",
+    "deploy-gait",
 )
 
 
@@ -63,9 +69,10 @@ def all_rows(backend: str = "onnx") -> dict[str, Callable[[int], Row]]:
     Args:
         backend: that runs the network, where there is one.
     """
-    from stair_env_cli.bench import env_rows, perception_rows
+    from stair_env_cli.bench import deploy_rows, env_rows, perception_rows
 
     def bound(row: Callable[[int, str], Row]) -> Callable[[int], Row]:
         return lambda rounds: row(rounds, backend)
 
-    return {**env_rows.ROWS, **{name: bound(row) for name, row in perception_rows.ROWS.items()}}
+    networked = {**perception_rows.ROWS, **deploy_rows.ROWS}
+    return {**env_rows.ROWS, **{name: bound(row) for name, row in networked.items()}}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from perception.data.label_grid import LabelError
-from perception.data.stair_dataset import DatasetError, StairDataset, read_depth
+from perception.data.stair_dataset import GREY_LEVEL_M, DatasetError, StairDataset, read_depth
 
 
 def write_frame(folder, stem="a", depth=None, label="0 10 20 300 40\n", side=512):
@@ -34,7 +34,8 @@ def test_public_format_has_grey_depth_and_no_side_car(tmp_path, channels):
     grey = np.full((512, 512), 51, np.uint8)
     write_frame(tmp_path, depth=grey if channels == 1 else np.repeat(grey[..., None], 3, -1), label="")
     sample = StairDataset(tmp_path)[0]
-    np.testing.assert_allclose(sample.depth_m, 51 * 8.0 / 255.0, rtol=1e-6)
+    np.testing.assert_allclose(sample.depth_m, 51 * GREY_LEVEL_M, rtol=1e-6)
+    np.testing.assert_allclose(StairDataset(tmp_path, grey_level_m=0.03)[0].depth_m, 51 * 0.03, rtol=1e-6)
     assert (sample.lighting, sample.view, len(sample.lines)) == ("unknown", "none", 0)
 
 

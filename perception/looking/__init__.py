@@ -1,0 +1,1 @@
+"""Frames of any source measured, and shown with what was measured."""

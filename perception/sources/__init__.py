@@ -1,0 +1,1 @@
+"""Where RGB-D frames come from: a simulated camera, a RealSense, recordings, folders; all through one interface."""

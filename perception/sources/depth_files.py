@@ -1,0 +1,84 @@
+"""Depth images of every kind that people have: PNG, PGM and TIFF of whole numbers, NPY, TIFF and EXR of metres."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from perception.data.stair_dataset import GREY_LEVEL_M, MILLIMETRE, DatasetError
+from perception.sources.hints import COLOURISED, GREY_DEPTH
+
+COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".bmp")
+DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".exr", ".pgm", ".jpg", ".jpeg")
+SAME_CHANNELS = 3  # grey levels by which the channels of a grey picture differ after JPEG
+
+
+@dataclass(frozen=True)
+class DepthFile:
+    """A depth image and what is odd about it.
+
+    Attributes:
+        depth_m: float32 (H, W) metres, 0 = no reading; None when the file is no depth.
+        hints: in words.
+    """
+
+    depth_m: np.ndarray | None
+    hints: tuple[str, ...] = ()
+
+
+def read_depth_file(path: Path, unit_m: float = MILLIMETRE, grey_level_m: float | None = None) -> DepthFile:
+    """Read a depth image.
+
+    Args:
+        path: whole numbers of 16 or 32 bits are units, floating point numbers metres, 8 bits grey levels.
+        unit_m: metres a unit.
+        grey_level_m: metres a grey level; None takes the public set's, and says so in a hint.
+
+    Raises:
+        DatasetError: the file cannot be read, or holds no image of one channel.
+    """
+    image = _load(path)
+    if image.ndim == 3 and image.shape[2] >= 3:
+        channels = image[..., :3].astype(np.int64) if image.dtype != np.float32 else image[..., :3]
+        if np.abs(channels.max(axis=2) - channels.min(axis=2)).max() > SAME_CHANNELS:
+            return DepthFile(None, (COLOURISED,))
+    if image.ndim == 3:
+        image = image[..., 0]
+    if image.ndim != 2 or image.size == 0:
+        raise DatasetError(f"{path}: has shape {image.shape}, depth is (H, W)")
+    if image.dtype == np.uint8:
+        level = GREY_LEVEL_M if grey_level_m is None else grey_level_m
+        return DepthFile(image.astype(np.float32) * np.float32(level), () if grey_level_m else (GREY_DEPTH,))
+    if np.issubdtype(image.dtype, np.integer):
+        return DepthFile(image.astype(np.float32) * np.float32(unit_m))
+    if np.issubdtype(image.dtype, np.floating):
+        depth = image.astype(np.float32)
+        return DepthFile(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0)))
+    raise DatasetError(f"{path}: depth of type {image.dtype}, must be whole numbers or floating point")
+
+
+def _load(path: Path) -> np.ndarray:
+    if path.suffix.lower() == ".npy":
+        try:
+            return np.asarray(np.load(path, allow_pickle=False))
+        except (OSError, ValueError, EOFError) as error:
+            raise DatasetError(f"{path}: cannot be read as an array: {error}") from None
+    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")  # off by default; read when the first EXR file is
+    import cv2
+
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise DatasetError(f"{path}: cannot be read as an image: {' '.join(str(error).split())}") from None
+    if image is None:
+        raise DatasetError(f"{path}: cannot be read as an image")
+    return np.asarray(image)
+
+
+def is_grey_16_bit(path: Path) -> bool:
+    """Whether an image file has one channel of 16 bits, which no colour image has."""
+    image = _load(path)
+    return image.ndim == 2 and image.dtype != np.uint8
