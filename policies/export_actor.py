@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def _actor_module(policy: Policy, sizes: dict[str, int]) -> torch.nn.Module:
     """(B, proprio) and (B, 8) to the most likely action (B, n); what is privileged is read as zeros."""
     import torch
 
-    network: Any = cast(Any, policy.model).policy.to("cpu").eval()
+    network: Any = policy.model.to("cpu").eval()
     rest = {key: size for key, size in sizes.items() if key not in KEYS}
 
     class _Actor(torch.nn.Module):
