@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
+from stair_env.common.extras import naming_extras
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -123,6 +124,7 @@ def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
     )
 
 
+@naming_extras()
 def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER) -> Policy:
     """Load a policy.
 

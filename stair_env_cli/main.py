@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from importlib import metadata
 from types import ModuleType
 
+from stair_env.common.extras import MissingExtraError, naming_extras
+
 COMMANDS: dict[str, str] = {
     "demo": "the shipped policy climbs with perception in the loop; annotated video and summary",
     "view": "render staircases or sensor frames to PNG",
@@ -48,7 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if module is None:  # a word that is no command has already ended in parse_args
         raise AssertionError(f"no module for {args.command!r}")
     try:
-        return int(module.run(args) or 0)
+        with naming_extras():
+            return int(module.run(args) or 0)
     except KeyboardInterrupt:
         print("stair-env: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -61,13 +64,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def is_user_error(error: Exception) -> bool:
     """Whether an error speaks about the input (bad value, missing file, unknown environment) and not about a bug."""
-    return isinstance(error, (ValueError, OSError)) or type(error).__module__ == "gymnasium.error"
+    told = isinstance(error, (ValueError, OSError, MissingExtraError))
+    return told or type(error).__module__ == "gymnasium.error"
 
 
 def describe(error: Exception) -> str:
     """The error's message on one line."""
     text = " ".join(str(error).split()) or "no message"
-    return text if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {text}"
+    return text if isinstance(error, (ValueError, OSError, MissingExtraError)) else f"{type(error).__name__}: {text}"
 
 
 def _import_command(command: str) -> ModuleType:
