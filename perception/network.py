@@ -9,11 +9,13 @@ from __future__ import annotations
 import io
 from typing import NamedTuple
 
-import torch
-from torch import Tensor, nn
-from torch.nn import functional as F
-
 from stair_env.common.constants import FUSION_STAGES, NETWORK_WIDTHS
+from stair_env.common.extras import naming_extras
+
+with naming_extras():
+    import torch
+    from torch import Tensor, nn
+    from torch.nn import functional as F
 
 STEM_CHANNELS = 32
 STAGE_CHANNELS = (128, 256, 256)

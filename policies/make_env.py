@@ -12,6 +12,7 @@ import gymnasium as gym
 
 import stair_env  # noqa: F401  (registers the ids, also in a worker process)
 from stair_env.common.constants import VEC_KINDS
+from stair_env.common.extras import naming_extras
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class CurriculumAccess(gym.Wrapper):
             curriculum.restore(state)
 
 
+@naming_extras()
 def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monitor: bool = True) -> gym.Env:
     """Build one environment.
 
@@ -60,6 +62,7 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
     return wrapped
 
 
+@naming_extras()
 def make_vec_env(
     env_id: str,
     num_envs: int,
@@ -125,6 +128,7 @@ def _prepared_start_method() -> str:
     return "forkserver"
 
 
+@naming_extras()
 def normalise(venv: VecEnv, *, gamma: float, options: Mapping[str, Any] | None = None) -> VecNormalize:
     """Wrap in VecNormalize; of a Dict observation the stair block alone is left as it is.
 

@@ -16,6 +16,7 @@ import numpy as np
 from perception.inference.preprocess import NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.inference.weights import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
 from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, IMAGE_SIZE
+from stair_env.common.extras import naming_extras
 from stair_env.common.validation import check_choice
 
 if TYPE_CHECKING:
@@ -88,7 +89,8 @@ class OnnxBackend:
 
 def _open_session(file: Path, threads: int) -> Any:
     """An ONNX Runtime session on the CPU; 0 threads lets the runtime take all cores."""
-    import onnxruntime
+    with naming_extras():
+        import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
@@ -174,7 +176,8 @@ class OpenVinoBackend:
 
     def _compile(self, streams: int) -> Any:
         """The network for frames of which `streams` run at once."""
-        from openvino import Core
+        with naming_extras():
+            from openvino import Core
 
         settings = {
             "INFERENCE_PRECISION_HINT": "f32",  # left to itself it takes bfloat16: 14 points of IOU less

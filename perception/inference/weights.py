@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from stair_env.common.console import quiet
 from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
+from stair_env.common.extras import naming_extras
 from stair_env.common.files import atomic_path
 
 if TYPE_CHECKING:
@@ -83,10 +84,11 @@ def load_weights(path: str | Path, width: float, fusion_stage: int = 2) -> Stair
     Raises:
         WeightsError: the file is missing, no safetensors, or of another network.
     """
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    with naming_extras():
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
 
-    from perception.network import StairNetV2
+        from perception.network import StairNetV2
 
     if not Path(path).is_file():
         raise WeightsError(f"{path}: no such file")

@@ -13,6 +13,16 @@ def test_known_value() -> None:
     assert wilson_interval(9, 10) == pytest.approx((0.596, 0.982), abs=1e-3)
 
 
+def test_the_same_as_scipys() -> None:
+    """SciPy's takes seconds to import and rounds the 17th digit otherwise, which recorded tables would show."""
+    from scipy.stats import binomtest
+
+    for trials in (1, 7, 48, 300):
+        for successes in range(0, trials + 1, max(1, trials // 10)):
+            theirs = binomtest(successes, trials).proportion_ci(0.95, "wilson")
+            assert wilson_interval(successes, trials) == pytest.approx((theirs.low, theirs.high), abs=1e-15)
+
+
 def test_sound_at_the_ends() -> None:
     assert wilson_interval(0, 0) == (0.0, 1.0)
     assert wilson_interval(0, 50)[0] == 0.0 and 0.0 < wilson_interval(0, 50)[1] < 0.1

@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -68,7 +69,7 @@ class Toy(gym.Env):
         return self._observe(), float(action.sum()), ended, self.count >= LONG, info
 
     def lock(self) -> Any:
-        return lambda: None  # cannot be pickled
+        return threading.Lock()  # cannot be pickled
 
     def double(self, number: int) -> int:
         return 2 * number

@@ -75,12 +75,12 @@ def test_joint_targets_equal_the_environments(direction: str, exported: Path, mo
         body = BodyReading(info["camera"]["time_s"], joints, rates, rgbd._sim.foot_contacts().touching, trunk_imu)
         camera = info["camera"]
         seen = CameraReading(
-            camera["frame"], camera["captured_at_s"], rgbd._reading.rgb, np.clip(rgbd._reading.depth_m, 0, 20)
+            camera["frame"], camera["captured_at_s"], rgbd._frame.rgb, np.clip(rgbd._frame.depth_m, 0, 20)
         )
         return body, rgbd._imu_samples, seen
 
-    rest = rgbd._state.rotation[2] * 9.81
-    start = {"rest": rest, "targets": taps.commands[-1], "phase": rgbd._gait.phase}
+    rest = rgbd.state.after.rotation[2] * 9.81
+    start = {"rest": rest, "targets": taps.commands[-1], "phase": rgbd.gait.phase}
     wanted = climber.begin(*readings(np.tile([*rest, 0.0, 0.0, 0.0], (5, 1))), **start)
     worst, steps, done = 0.0, 0, False
     while not done and steps < MAX_STEPS:

@@ -36,14 +36,14 @@ def sharp_depth(**changes: Any) -> DepthErrorConfig:
 def result() -> Iterator[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(table7_geometry, "DepthErrorConfig", sharp_depth)
-        yield run_measurement(MeasureConfig(network="ideal", poses=2, stairs=PAPER_STAIRS[:1]), seed=0)
+        yield run_measurement(MeasureConfig(network="ideal", poses=1), seed=0)
 
 
 def test_rows_are_those_of_the_paper(result: dict[str, Any]) -> None:
     rows = result["rows"]
     assert [(row["stair"], row["step"], row["direction"]) for row in rows] == [
         (stair.name, step, direction)
-        for stair in PAPER_STAIRS[:1]
+        for stair in PAPER_STAIRS
         for direction in ("ascending", "descending")
         for step in (1, 2, 3)
     ]
@@ -53,16 +53,12 @@ def test_rows_are_those_of_the_paper(result: dict[str, Any]) -> None:
 
 
 def test_the_geometry_is_exact_to_millimetres(result: dict[str, Any]) -> None:
-    """Far above the noise of so few frames, far below what a wrong formula would give.
-
-    Of four frames a direction one may be far off, going down at a grazing angle: hence the median.
-    """
+    """Far above the noise of so few frames, far below what a wrong formula would give."""
     for direction, (width, height) in (("ascending", (6.0, 6.0)), ("descending", (12.0, 8.0))):
-        rows = [row for row in result["rows"] if row["direction"] == direction and row["measured_mm"] is not None]
-        error = np.abs(np.subtract([row["measured_mm"] for row in rows], [row["true_mm"] for row in rows]))
-        assert (np.median(error, axis=0) < (width, height)).all()
-        assert min(result["rmse_mm"][direction]) > 0.0
-        assert result["rmse_mm_by"]["planes"][direction]["coverage"] > 0.8
+        measured = result["rmse_mm"][direction]
+        assert 0.0 < measured[0] < width
+        assert 0.0 < measured[1] < height
+        assert result["rmse_mm_by"]["planes"][direction]["coverage"] > 0.7
 
 
 @pytest.mark.parametrize("depth", ["model", "stereo"])
@@ -83,9 +79,9 @@ def test_the_papers_fit_and_the_uncalibrated_unit_are_beside_it(result: dict[str
     json.dumps(result)
 
 
-def test_same_seed_same_table(result: dict[str, Any]) -> None:
-    again = run_measurement(MeasureConfig(network="ideal", poses=2, stairs=PAPER_STAIRS[:1]), seed=0)
-    assert again == result
+def test_same_seed_same_table() -> None:
+    config = MeasureConfig(network="ideal", poses=2, stairs=PAPER_STAIRS[:1])
+    assert run_measurement(config, seed=0) == run_measurement(config, seed=0)
 
 
 @pytest.mark.parametrize("direction", ["up", "down"])

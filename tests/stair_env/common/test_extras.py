@@ -1,0 +1,97 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stair_env.common.extras import EXTRA_OF, MissingExtraError, naming_extras
+from stair_env_cli import evaluate
+from stair_env_cli.main import main
+
+HEAVY = ("torch", "lightning", "onnx", "onnxruntime", "tensorboard", "matplotlib", "stable_baselines3", "openvino")
+HIDE = """
+import sys
+from importlib.abc import MetaPathFinder
+class Hidden(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.partition(".")[0] in {names!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Hidden())
+"""
+BARE = """
+import gymnasium as gym
+import numpy as np
+import stair_env
+from stair_env.rgbd import StairClimbRgbdEnv
+env = gym.make("stair_env/StairClimb-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+camera = StairClimbRgbdEnv(camera={"width": 160})
+camera.reset(seed=0)
+camera.step(np.zeros(16))
+vector = gym.make_vec("stair_env/StairClimb-v0", 1)
+vector.reset(seed=0)
+vector.step(np.zeros((1, 16), np.float32))
+vector.close()
+"""
+PERCEIVED = """
+import gymnasium as gym
+import stair_env
+env = gym.make("stair_env/StairClimbPerception-v0", camera={"width": 160})
+env.reset(seed=0)
+"""
+POLICIES = """
+from policies.make_env import make_vec_env
+make_vec_env("stair_env/StairClimb-v0", 1)
+"""
+
+
+def run_without(names, code):
+    script = HIDE.format(names=names) + code
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=600)
+
+
+def test_the_environment_runs_without_any_extra():
+    done = run_without(HEAVY, BARE)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_the_perception_id_needs_one_library_and_says_which():
+    done = run_without(tuple(name for name in HEAVY if name != "onnxruntime"), PERCEIVED)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "pip install 'stair-env[perception]'" in run_without(HEAVY, PERCEIVED).stderr
+
+
+LOAD = "from policies.pretrained import load; load('aliengo')"
+
+
+@pytest.mark.parametrize("code", [POLICIES, LOAD, "import policies.features"])
+def test_policies_say_what_they_need(code):
+    done = run_without(HEAVY, code)
+    assert done.returncode != 0 and "pip install 'stair-env[policies]'" in done.stderr
+
+
+def test_the_command_line_says_it_on_one_line(monkeypatch, capsys):
+    def run(args):
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+
+    monkeypatch.setattr(evaluate, "run", run)
+    assert main(["evaluate"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "stair-env[policies]" in told
+
+
+def test_other_missing_modules_stay_what_they_are():
+    with pytest.raises(ModuleNotFoundError, match="no_such_module") as caught, naming_extras():
+        import no_such_module  # noqa: F401
+    assert not isinstance(caught.value, MissingExtraError)
+
+
+def test_every_library_is_in_its_extra():
+    tomllib = pytest.importorskip("tomllib")  # of Python 3.11
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    names = {"stable_baselines3": "stable-baselines3", "yaml": "pyyaml"}
+    for library, extra in EXTRA_OF.items():
+        wanted = names.get(library, library)
+        assert any(line.startswith(f"{wanted}>=") for line in project["optional-dependencies"][extra]), library
+        assert not any(line.startswith(wanted) for line in project["dependencies"])
