@@ -45,13 +45,13 @@ test-slow: $(STAMP)
 test-clients:
 	$(PYTHON) -m venv .venv-clients
 	grep -v '^filelock==' constraints.txt > .venv-clients/constraints.txt
-	.venv-clients/bin/python -m pip install --quiet -c .venv-clients/constraints.txt -e . $(foreach file,$(wildcard examples/clients/*.txt),-r $(file))
+	.venv-clients/bin/python -m pip install --quiet -c .venv-clients/constraints.txt -e '.[all]' $(foreach file,$(wildcard examples/clients/*.txt),-r $(file))
 	$(ONE_THREAD) .venv-clients/bin/python -W ignore examples/clients/run_all.py results/clients.md
 
 LOWEST_TESTS := tests/stair_env/test_env.py tests/stair_env/test_vector.py tests/policies/test_pretrained.py tests/perception/test_wrapper.py
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
-	.venv-lowest/bin/python -m pip install --quiet -c lowest.txt -e . pytest hypothesis
+	.venv-lowest/bin/python -m pip install --quiet -c lowest.txt -e '.[all]' pytest hypothesis
 	$(ONE_THREAD) .venv-lowest/bin/python -m pytest -q $(LOWEST_TESTS)
 # The extras of a real camera; pyrealsense2's wheel also needs Debian's libusb-1.0-0, without which its tests are skipped.
 test-device: $(VENV)/.device

@@ -10,7 +10,7 @@ import io
 from typing import NamedTuple
 
 from stair_env.common.constants import FUSION_STAGES, NETWORK_WIDTHS
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 
 with naming_extras():
     import torch

@@ -10,17 +10,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-<<<<<<< HEAD
-import torch
-from stable_baselines3.common.policies import MultiInputActorCriticPolicy
-from stable_baselines3.common.preprocessing import get_flattened_obs_dim
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.sac.policies import MultiInputPolicy as SacMultiInputPolicy
-from stable_baselines3.td3.policies import MultiInputPolicy as Td3MultiInputPolicy
-=======
->>>>>>> parts
 
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 from stair_env.observation import PRIVILEGED_KEY, STAIR_FIELDS
 
 with naming_extras():
@@ -29,6 +20,7 @@ with naming_extras():
     from stable_baselines3.common.preprocessing import get_flattened_obs_dim
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.sac.policies import MultiInputPolicy as SacMultiInputPolicy
+    from stable_baselines3.td3.policies import MultiInputPolicy as Td3MultiInputPolicy
 
 STAIR_KEY = "stair"
 

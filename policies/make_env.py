@@ -12,7 +12,7 @@ import gymnasium as gym
 
 import stair_env  # noqa: F401  (registers the ids, also in a worker process)
 from stair_env.common.constants import VEC_KINDS
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:

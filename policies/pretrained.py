@@ -20,7 +20,7 @@ import numpy as np
 from policies.portable import portable
 from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 MANIFEST_FILE = "manifest.json"
@@ -135,7 +135,6 @@ def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
     )
 
 
-<<<<<<< HEAD
 def _files_beside(model: Path) -> dict[str, Path]:
     """Statistics and arguments that belong to a model's zip."""
     own, folders = model.with_suffix(""), [path for path in sorted(model.parent.glob("*/")) if path.is_dir()]
@@ -154,13 +153,10 @@ def _files_beside(model: Path) -> dict[str, Path]:
     return found
 
 
+@naming_extras()
 def load(
     policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER, *, trusted: bool = False
 ) -> Policy:
-=======
-@naming_extras()
-def load(policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER) -> Policy:
->>>>>>> parts
     """Load a policy.
 
     Args:

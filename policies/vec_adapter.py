@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 from stair_env.vector import WorkerVectorEnv
 
 with naming_extras():

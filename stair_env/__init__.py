@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stair_env.common import late_import, moved, shadowing
+from stair_env.common import moved
+from stair_env.common.importing import late_import, shadowing
 
 __version__ = "0.1.0"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stair_env.common.shadowing import import_sibling
+from stair_env.common.importing.shadowing import import_sibling
 from stair_env.env import StairClimbEnv
 
 _BUILDER = "perception.gym_entry_points"

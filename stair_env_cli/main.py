@@ -15,13 +15,10 @@ from collections.abc import Iterator, Sequence
 from importlib import metadata
 from types import ModuleType
 
-<<<<<<< HEAD
 from stair_env.common.console import unbreakable_streams
 from stair_env.common.files import is_standard_output
-from stair_env.common.shadowing import ShadowedPackageError
-=======
-from stair_env.common.extras import MissingExtraError, naming_extras
->>>>>>> parts
+from stair_env.common.importing.extras import MissingExtraError, naming_extras
+from stair_env.common.importing.shadowing import ShadowedPackageError
 
 COMMANDS: dict[str, str] = {
     "demo": "the shipped policy climbs with perception in the loop; annotated video and summary",
@@ -64,11 +61,7 @@ def _main(arguments: list[str]) -> int:
     if module is None:  # a word that is no command has already ended in parse_args
         raise AssertionError(f"no module for {args.command!r}")
     try:
-<<<<<<< HEAD
-        with _room_for_results(args):
-=======
-        with naming_extras():
->>>>>>> parts
+        with naming_extras(), _room_for_results(args):
             return int(module.run(args) or 0)
     except KeyboardInterrupt:
         print("stair-env: interrupted", file=sys.stderr)
@@ -82,24 +75,18 @@ def _main(arguments: list[str]) -> int:
 
 def is_user_error(error: Exception) -> bool:
     """Whether an error speaks about the input (bad value, missing file, unknown environment) and not about a bug."""
-<<<<<<< HEAD
-    told = isinstance(error, (ValueError, OSError, ShadowedPackageError))
+    told = isinstance(error, (ValueError, OSError, ShadowedPackageError, MissingExtraError))
     return told or type(error).__module__ == "gymnasium.error" or _is_full_disk(error)
 
 
 def _is_full_disk(error: Exception) -> bool:
     """Whether torch could not write a file, of which its own error says nothing but that."""
     return isinstance(error, RuntimeError) and any(sign in str(error) for sign in TORCH_WRITING)
-=======
-    told = isinstance(error, (ValueError, OSError, MissingExtraError))
-    return told or type(error).__module__ == "gymnasium.error"
->>>>>>> parts
 
 
 def describe(error: Exception) -> str:
     """The error's message on one line."""
     text = " ".join(str(error).split()) or "no message"
-<<<<<<< HEAD
     if _is_full_disk(error):
         return f"a file cannot be written, is the disk full? ({text.partition('.')[0]})"
     plain = isinstance(error, (ValueError, OSError, ImportError))
@@ -114,9 +101,6 @@ def _room_for_results(args: argparse.Namespace) -> Iterator[None]:
             yield
     else:
         yield
-=======
-    return text if isinstance(error, (ValueError, OSError, MissingExtraError)) else f"{type(error).__name__}: {text}"
->>>>>>> parts
 
 
 def _import_command(command: str) -> ModuleType:

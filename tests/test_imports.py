@@ -25,6 +25,7 @@ HEAVY = ("torch", "numba", "matplotlib", "stable_baselines3", "lightning", "onnx
 # its folder build on it). A module imports only
 # from its own room and from rooms of lower levels.
 FLOW = (
+    "stair_env.common.importing",
     "stair_env.common",
     "stair_env perception policies",  # the packages themselves, which register ids and let old paths work
     "stair_env.stairs",

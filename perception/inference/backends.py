@@ -16,7 +16,7 @@ import numpy as np
 from perception.inference.preprocess import NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.inference.weights import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
 from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, IMAGE_SIZE
-from stair_env.common.extras import naming_extras
+from stair_env.common.importing.extras import naming_extras
 from stair_env.common.validation import check_choice
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from stair_env.common.console import quiet
 from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
-from stair_env.common.extras import naming_extras
 from stair_env.common.files import atomic_path
+from stair_env.common.importing.extras import naming_extras
 
 if TYPE_CHECKING:
     from perception.network import StairNetV2

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from stair_env.common.extras import EXTRA_OF, MissingExtraError, naming_extras
+from stair_env.common.importing.extras import EXTRA_OF, MissingExtraError, naming_extras
 from stair_env_cli import evaluate
 from stair_env_cli.main import main
 

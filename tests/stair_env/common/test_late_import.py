@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stair_env.common.late_import import when_imported
+from stair_env.common.importing.late_import import when_imported
 
 
 def test_it_happens_after_the_import_and_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from stair_env.common.shadowing import ROOT, check_sibling, import_sibling
+from stair_env.common.importing.shadowing import ROOT, check_sibling, import_sibling
 
 MAKE = "import gymnasium as gym, stair_env; gym.make('stair_env/StairClimbPerception-v0')"
 USES = {

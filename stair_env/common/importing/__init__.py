@@ -1,0 +1,1 @@
+"""Imports that need care: late ones, missing extras, packages in the way."""
