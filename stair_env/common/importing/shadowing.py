@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]  # where the packages lie side by side
+ROOT = Path(__file__).resolve().parents[3]  # where the packages lie side by side
 SIBLINGS = ("perception", "policies", "stair_env_cli")
 
 
