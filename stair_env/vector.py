@@ -187,7 +187,9 @@ class WorkerVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the workers (`close` calls this once)."""
-        self._pool.close()
+        pool = getattr(self, "_pool", None)
+        if pool is not None:  # else construction failed, and the base class closes what there is of it
+            pool.close()
 
     def _observation(self) -> dict[str, np.ndarray]:
         shared = self._pool.observation
