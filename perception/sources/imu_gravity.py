@@ -11,6 +11,7 @@ from stair_env.common.constants import NOMINAL_GRAVITY_M_S2
 # Both sensors are brought to it: a D435i's gyro has 200 or 400 Hz, its accelerometer 62.5 or 250.
 FILTER_RATE_HZ = 200.0
 MAX_GAP_S = 0.5  # without samples: the filter starts anew
+FIRST_SAMPLES = 5  # a fortieth of a second
 STILL_S = 0.25  # of accelerometer that is averaged where there is no gyro
 
 
@@ -36,8 +37,13 @@ class ImuGravity:
         """(3,) what an accelerometer at rest would read, m/s^2, camera axes; None before the first sample."""
         return None if self._gravity is None else self._gravity.copy()
 
-    def update(self, imu: ImuSamples) -> np.ndarray | None:
+    def update(self, imu: ImuSamples, until_s: float | None = None) -> np.ndarray | None:
         """Take samples in.
+
+        Args:
+            imu: samples since the last call.
+            until_s: when the frame was captured that gravity is wanted for: a frame comes later than it was captured,
+                and samples of after that wait for the next one. None, or a time of another clock, takes all.
 
         Returns:
             `gravity`.
@@ -46,37 +52,43 @@ class ImuGravity:
         self._rate = np.concatenate([self._rate, _finite(imu.rate)])
         if len(self._acceleration) == 0:
             return self.gravity
+        first, last = self._acceleration[0, 0], self._acceleration[-1, 0]
+        own_clock = until_s is not None and first - MAX_GAP_S < until_s < last + MAX_GAP_S
+        end = min(until_s, last) if own_clock and until_s is not None else last
         if len(self._rate) == 0:
-            self._average()
+            self._average(end)
         else:
-            self._fuse()
+            self._fuse(end)
         return self.gravity
 
-    def _average(self) -> None:
-        recent = self._acceleration[:, 0] > self._acceleration[-1, 0] - STILL_S
-        self._acceleration = self._acceleration[recent]
-        mean = self._acceleration[:, 1:].mean(axis=0)
+    def _average(self, end: float) -> None:
+        self._acceleration = self._acceleration[self._acceleration[:, 0] > end - STILL_S]
+        before = self._acceleration[:, 0] <= end
+        mean = self._acceleration[before if before.any() else slice(None), 1:].mean(axis=0)
         length = float(np.linalg.norm(mean))
         if length > 0.0:
             self._gravity = NOMINAL_GRAVITY_M_S2 * mean / length
 
-    def _fuse(self) -> None:
+    def _fuse(self, end: float) -> None:
         """Both sensors at the filter's times, as far as both have come; what is left over waits for the next frame."""
         begin = max(self._acceleration[0, 0], self._rate[0, 0])
-        end = min(self._acceleration[-1, 0], self._rate[-1, 0])
+        end = min(end, self._rate[-1, 0])
         if self._next_s is None or not begin - MAX_GAP_S < self._next_s < end + MAX_GAP_S:
             self._attitude.reset()
             self._next_s = begin
         times = np.arange(self._next_s, end, 1.0 / FILTER_RATE_HZ)
         if len(times) == 0:
             if self._gravity is None:
-                self._average()
+                self._average(end)
             return
         samples = [
             np.column_stack([np.interp(times, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
             for rows in (self._acceleration, self._rate)
         ]
-        self._gravity = self._attitude.update(np.concatenate(samples, axis=1))
+        joined = np.concatenate(samples, axis=1)
+        # The filter takes its first call's mean to be at rest: the first moment alone, as a robot may walk on at once.
+        self._attitude.update(joined[:FIRST_SAMPLES])
+        self._gravity = self._attitude.update(joined[FIRST_SAMPLES:])
         self._next_s = float(times[-1]) + 1.0 / FILTER_RATE_HZ
         self._acceleration, self._rate = (_from(rows, self._next_s) for rows in (self._acceleration, self._rate))
 

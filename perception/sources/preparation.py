@@ -155,7 +155,7 @@ class Preparer:
         return align_depth(flat, depth_lens.intrinsics, pose, lens.intrinsics)
 
     def _gravity(self, raw: RawFrame) -> tuple[np.ndarray | None, str]:
-        felt = self._imu.update(raw.imu) if self._preparation.imu != "off" else None
+        felt = self._imu.update(raw.imu, raw.time_s) if self._preparation.imu != "off" else None
         self._silent = self._silent + 1 if felt is None else 0
         if self._preparation.imu == "required" and self._silent > FRAMES_WITHOUT_IMU:
             raise MissingImuError(

@@ -170,7 +170,7 @@ class RosRecorder:
             self._writer = rosbag2.Writer(self._path, version=9, storage_plugin=plugin)
         self._writer.open()
         self._connections: dict[str, Any] = {}
-        self._count = 0
+        self._count, self._shift_s = 0, 0.0
 
     def finish(self) -> Path | None:
         """The finished file; None when there was no frame."""
@@ -180,8 +180,11 @@ class RosRecorder:
         return self._path if self._ros1 else next(self._path.glob(f"*{self._suffix}"))
 
     def add(self, frame: SourceFrame) -> None:
-        """Write one frame and the IMU samples before it."""
-        for topic, rows in zip(("accel", "gyro"), samples_of(frame)):
+        """Write one frame and the IMU samples before it; times below zero, which ROS has not, are shifted."""
+        samples = samples_of(frame)
+        if self._count == 0:
+            self._shift_s = -min(frame.time_s, 0.0, *(float(rows[0, 0]) for rows in samples if len(rows)))
+        for topic, rows in zip(("accel", "gyro"), samples):
             for row in rows:
                 self._put(topic, "Imu", float(row[0]), self._imu(topic, row))
         info = self._info(frame.intrinsics, frame.time_s)
@@ -197,14 +200,16 @@ class RosRecorder:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(TOPICS[topic], name, typestore=self._store)
         encode = self._store.serialize_ros1 if self._ros1 else self._store.serialize_cdr
-        self._writer.write(self._connections[topic], max(round(time_s * 1e9), 0), encode(message, name))
+        self._writer.write(self._connections[topic], self._nanoseconds(time_s), encode(message, name))
+
+    def _nanoseconds(self, time_s: float) -> int:
+        return max(round((time_s + self._shift_s) * 1e9), 0)
 
     def _type(self, name: str) -> Any:
         return self._store.types[name]
 
     def _header(self, time_s: float) -> Any:
-        nanoseconds = max(round(time_s * 1e9), 0)
-        stamp = self._type("builtin_interfaces/msg/Time")(*divmod(nanoseconds, 1_000_000_000))
+        stamp = self._type("builtin_interfaces/msg/Time")(*divmod(self._nanoseconds(time_s), 1_000_000_000))
         values = {"stamp": stamp, "frame_id": FRAME_ID}
         return self._type("std_msgs/msg/Header")(**values, **({"seq": self._count} if self._ros1 else {}))
 

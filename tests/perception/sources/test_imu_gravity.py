@@ -33,6 +33,27 @@ def test_a_nodding_camera_is_followed(rate: float) -> None:
     assert gravity is not None and angle_deg(gravity, rate * 2.0) < 1.0
 
 
+def test_gravity_is_that_of_the_capture_not_of_the_arrival() -> None:
+    """Frames come 0.1 s late, with all samples up to then: a camera that nods at 0.5 rad/s would be 3 degrees off."""
+    imu = ImuGravity()
+    for k in range(60):
+        gravity = imu.update(samples(k / 30, 1 / 30, 0.5), until_s=(k + 1) / 30 - 0.1)
+        if k > 10:
+            assert gravity is not None and angle_deg(gravity, 0.5 * ((k + 1) / 30 - 0.1)) < 1.0
+    other = ImuGravity()
+    for k in range(5):  # a frame clock that has nothing to do with the IMU's
+        gravity = other.update(samples(k / 30, 1 / 30), until_s=1e9 + k / 30)
+    assert gravity is not None and angle_deg(gravity, 0.0) < 0.5
+
+
+def test_only_the_first_moment_is_taken_to_be_at_rest() -> None:
+    """A robot stands, and walks on within the first chunk: what it feels then is no gravity."""
+    walking = samples(0.0, 0.3)
+    walking.acceleration[15:, 1:] += [6.0, 0.0, 4.0]
+    gravity = ImuGravity().update(walking)
+    assert gravity is not None and angle_deg(gravity, 0.0) < 4.0
+
+
 def test_an_accelerometer_alone_is_averaged() -> None:
     imu, rng = ImuGravity(), np.random.default_rng(0)
     for k in range(30):

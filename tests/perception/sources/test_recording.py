@@ -10,6 +10,7 @@ import pytest
 from perception.sources.opening import open_source
 from perception.sources.preparation import Preparation, SourceFrame, prepared
 from perception.sources.recording import recording
+from perception.sources.simulated import SimulatedSource
 from perception.sources.source import BrokenRecordingError, SourceError
 from tests.perception.sources.conftest import ListSource, drawn
 
@@ -66,6 +67,20 @@ def test_a_source_that_breaks_off_leaves_what_came_before(kind: str, tmp_path: P
         for frame in prepared(ListSource(drawn()[:2], BrokenRecordingError("cut short"))):
             recorder.add(frame)
     assert len(list(open_source([tmp_path / kind]))) == 2
+
+
+@pytest.mark.parametrize("kind", kinds())
+def test_a_walk_of_the_simulated_camera_measures_gravity_again(kind: str, tmp_path: Path) -> None:
+    """Its clock begins below zero, frames come late, and the robot walks on at once."""
+    needs(kind)
+    walk = list(prepared(SimulatedSource(4, camera={"width": 320})))
+    with recording(tmp_path / kind) as recorder:
+        for frame in walk:
+            recorder.add(frame)
+    for a, b in zip(walk, prepared(open_source([tmp_path / kind])), strict=True):
+        assert a.gravity is not None and b.gravity is not None
+        cosine = a.gravity @ b.gravity / np.linalg.norm(a.gravity) / np.linalg.norm(b.gravity)
+        assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.5
 
 
 def test_a_bug_leaves_nothing(tmp_path: Path) -> None:
