@@ -39,7 +39,7 @@ def main() -> int:
     text = [
         "# Clients",
         "",
-        f"Written by `make test-clients`: Python {sys.version.split()[0]}, {base}.",
+        f"Written by `examples/clients/run_all.py` (`make test-clients`): Python {sys.version.split()[0]}, {base}.",
         "",
         "| recipe in examples/clients | with | result |",
         "|---|---|---|",
