@@ -58,6 +58,8 @@ class StairEstimator(PicklesByArguments):
             has to confirm what is less than certain.
         omega_m: smallest width and height that counts as a step; the paper's threshold.
         gravity_std_rad: how far the given gravity direction is trusted.
+        refine_gravity: see `perception.geometry.planes.measure_stairs`; wrappers and deployment, which know their
+            attitude, make estimators without.
 
     Raises:
         ValueError: an argument is none of its choices.
@@ -73,6 +75,7 @@ class StairEstimator(PicklesByArguments):
         threshold: float | None = None,
         omega_m: float = OMEGA_M,
         gravity_std_rad: float = GRAVITY_STD_RAD,
+        refine_gravity: bool = True,
     ) -> None:
         check_choice("method", method, GEOMETRY_METHODS)
         check_choice("backend", backend, BACKENDS)
@@ -84,7 +87,7 @@ class StairEstimator(PicklesByArguments):
         self._threshold = usual if threshold is None else threshold
         self._sure_threshold = SCORE_THRESHOLD if threshold is None else threshold
         self._omega_m = omega_m
-        self._gravity_std_rad = gravity_std_rad
+        self._gravity_std_rad, self._refine_gravity = gravity_std_rad, refine_gravity
 
     @property
     def detector(self) -> Detector:
@@ -177,7 +180,13 @@ class StairEstimator(PicklesByArguments):
             geometry = measure_stairs_as_the_paper(lines, depth_m, intrinsics, gravity, omega_m=self._omega_m)
         else:
             geometry = measure_stairs(
-                lines, depth_m, intrinsics, gravity, omega_m=self._omega_m, gravity_std_rad=self._gravity_std_rad
+                lines,
+                depth_m,
+                intrinsics,
+                gravity,
+                omega_m=self._omega_m,
+                gravity_std_rad=self._gravity_std_rad,
+                refine_gravity=self._refine_gravity,
             )
         return _as_estimate(geometry, lines, gravity, self._sure_threshold)
 

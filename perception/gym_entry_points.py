@@ -25,7 +25,7 @@ def make_perception_env(estimator: dict[str, Any] | None = None, **kwargs: Any) 
 
     _check_source(kwargs)
     env = StairClimbRgbdEnv(**{**kwargs, "stair_source": "external"})
-    return PerceptionWrapper(env, StairEstimator(**(estimator or {})))
+    return PerceptionWrapper(env, StairEstimator(**{"refine_gravity": False, **(estimator or {})}))
 
 
 def make_perception_vec(
@@ -48,7 +48,9 @@ def make_perception_vec(
     vector = make_rgbd_vec(num_envs, **{**kwargs, "stair_source": "external"})
     try:
         robot, intrinsics = vector.get_attr("robot")[0], vector.get_attr("camera_intrinsics")[0]
-        return PerceptionVectorWrapper(vector, robot, intrinsics, StairEstimator(**(estimator or {})))
+        return PerceptionVectorWrapper(
+            vector, robot, intrinsics, StairEstimator(**{"refine_gravity": False, **(estimator or {})})
+        )
     except BaseException:
         vector.close()
         raise

@@ -58,7 +58,7 @@ class PerceptionVectorWrapper(VectorWrapper):
         self.autoreset_mode = env.metadata.get("autoreset_mode")
         self.single_observation_space = single
         self.observation_space = batch_space(single, env.num_envs)
-        self.estimator = estimator if estimator is not None else StairEstimator()
+        self.estimator = estimator if estimator is not None else StairEstimator(refine_gravity=False)
         self.perceptions = [StairPerception(robot, intrinsics) for _ in range(env.num_envs)]
         self._clock = np.full(env.num_envs, np.inf)
         self._blocks = [NO_STAIRS] * env.num_envs

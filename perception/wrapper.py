@@ -52,7 +52,7 @@ class PerceptionWrapper(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str,
                 f"PerceptionWrapper needs observations with {', '.join(NEEDED_KEYS)}; {env} lacks {', '.join(missing)}"
             )
         self.observation_space = perceived_space(parts)
-        self.estimator = estimator if estimator is not None else StairEstimator()
+        self.estimator = estimator if estimator is not None else StairEstimator(refine_gravity=False)
         base: Any = env.unwrapped
         self.perception = StairPerception(base.robot, base.camera_intrinsics, tracker)
         self.last_rgb: np.ndarray | None = None  # the frame that `perception.geometry.results` speaks of; for pictures

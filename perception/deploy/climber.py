@@ -83,7 +83,7 @@ class StairClimber:
     ) -> None:
         self.robot = get_robot(robot) if isinstance(robot, str) else robot
         self._actor = actor
-        self._estimator = estimator if estimator is not None else StairEstimator()
+        self._estimator = estimator if estimator is not None else StairEstimator(refine_gravity=False)
         self._perception = StairPerception(self.robot, intrinsics, tracker)
         self._sense, self._gait = BodySense(self.robot, imu_rate_hz), Gait(self.robot)
         self._targets: np.ndarray | None = None
