@@ -25,7 +25,7 @@ from perception.learning.frames import Batch, FrameModule
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.learning.metrics import DetectionCounts, count_cells
 from perception.learning.presets import TrainingPreset
-from perception.network import StairNetV2
+from perception.network import StairNetV2, use_merged_norms
 
 LOGGER = logging.getLogger(__name__)
 
@@ -56,6 +56,7 @@ class DetectorTraining(L.LightningModule):
             for module in self.network.modules():
                 if isinstance(module, nn.BatchNorm2d):
                     module.eval()
+            use_merged_norms(self.network)
 
     def on_train_batch_start(self, batch: Batch, batch_index: int) -> None:
         """Set the learning rate from the progress, which a resumed run knows."""
@@ -177,6 +178,7 @@ def train(
     )
     with _flushed_denormals():
         trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
+    use_merged_norms(module.network, False)
     module.network.eval()
 
 

@@ -8,6 +8,7 @@ from perception.network import (
     SelectiveModule,
     StairNetV2,
     state_dict_megabytes,
+    use_merged_norms,
 )
 from stair_env.common.constants import NETWORK_WIDTHS
 
@@ -53,6 +54,23 @@ def test_selective_module_sits_after_the_chosen_downsampling(fusion_stage):
     with torch.inference_mode():
         network(torch.zeros(1, 3, 128, 128), torch.zeros(1, 1, 128, 128))
     assert sides == [128 // 2**fusion_stage]
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_merged_norms_change_neither_answer_nor_gradients(dense):
+    network = shaken(StairNetV2(0.25)).eval().use_dense_convolutions(dense).double()
+    rgb, depth = torch.randn(2, 3, 64, 64).double(), torch.randn(2, 1, 64, 64).double()
+
+    def answer_and_gradients():
+        network.zero_grad()
+        raw = network.forward_raw(rgb, depth)
+        (raw.cls_logits.square().sum() + raw.loc.sum()).backward()
+        return [raw.cls_logits.detach(), raw.loc.detach(), *(p.grad.clone() for p in network.parameters())]
+
+    apart = answer_and_gradients()
+    use_merged_norms(network)
+    for plain, merged in zip(apart, answer_and_gradients(), strict=True):
+        torch.testing.assert_close(merged, plain, rtol=1e-6, atol=1e-8)
 
 
 def test_answer_does_not_depend_on_the_rest_of_the_batch():
