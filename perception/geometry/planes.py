@@ -146,9 +146,8 @@ def measure_stairs(
     used = used[np.argsort(-_height_at_middle(lines[used]))]
     frame = Frame(lines, used, depth_m, intrinsics, omega_m)
     read = functools.partial(_read_faces, gravity_std_rad=gravity_std_rad)
-    views = _line_views(frame.chosen, intrinsics, _jitter_px(frame.chosen, intrinsics), _lengths(frame.chosen))
     if gravity is None:
-        return without_gravity(frame, views, _guesses(frame), read)
+        return without_gravity(frame, _views(frame), _guesses(frame), read)
     level = camera_to_level(gravity)
     yaw = yaw_from_lines(line_normals(frame.chosen, intrinsics) @ level.T, _lengths(frame.chosen))
     if abs(yaw) > MAX_YAW_RAD:
@@ -158,7 +157,13 @@ def measure_stairs(
     reading = read(frame, guess)
     if not refine_gravity or is_sound(reading, up):
         return with_gravity(reading, up)
-    return reconcile(frame, reading, views, guess, up, read)
+    return reconcile(frame, reading, _views(frame), guess, up, read)
+
+
+def _views(frame: Frame) -> LineViews:
+    """How the camera sees the chosen lines."""
+    jitter_px = _jitter_px(frame.chosen, frame.intrinsics)
+    return _line_views(frame.chosen, frame.intrinsics, jitter_px, _lengths(frame.chosen))
 
 
 def _guesses(frame: Frame) -> list[np.ndarray]:

@@ -28,7 +28,7 @@ from perception.geometry.rounded_geometry import RoundedStairs, measure_rounded
 from perception.geometry.strips.levelling import level_sideways, turn_pitch
 from perception.geometry.strips.strip_planes import LineViews, sample_strips
 
-CUT_MISFIT = 0.005  # 1/m; of faces under another gravity, for that to be believed
+CUT_MISFIT = 0.003  # 1/m; of faces under another gravity, for that to be believed
 ROLL_DOUBT_STD_RAD = math.radians(2.0)
 MAX_CORRECTION_RAD = math.radians(6.0)  # of gravity; beyond, one of the two is broken
 MAX_TOLD_STD_RAD = math.radians(1.2)  # of the pitch that depth alone must tell
@@ -37,6 +37,7 @@ LOOSE_STD_RAD = math.radians(2.0)  # of an orientation that gravity no longer ho
 GRAVITY_DOUBT_STD_RAD = math.radians(0.5)  # as on a walking robot, with long tails
 MAX_MISFIT = 0.0022  # 1/m; faces of sharp depth under the right gravity stay below 0.0018 in 95 of 100 frames
 SHARP_CREASE_PX, SHARP_NOISE = 3.0, 0.0025  # px, 1/m; up to here faces are straight between the lines
+MIN_WHOLE_STEPS = 2  # one alone has nothing to be like
 ENOUGH_STEPS = 3  # the paper evaluates as many; with fewer it is asked whether more can be seen
 
 ReadFaces = Callable[..., Reading]  # (frame, camera to (f, l, h), gravity_std_rad=...)
@@ -65,7 +66,7 @@ def reconcile(
         read_faces: reads the faces again under another orientation.
     """
     whole = measure_rounded(
-        frame.chosen, views, frame.depth_m, frame.intrinsics, guess, GRAVITY_DOUBT_STD_RAD, frame.omega_m
+        frame.chosen, views, frame.depth_m, frame.intrinsics, guess, GRAVITY_DOUBT_STD_RAD, frame.omega_m, reading.scan
     )
     if whole is None:
         return _by_cut(frame, reading, views, guess, up, read_faces)
@@ -130,7 +131,9 @@ def _choose(frame: Frame, reading: Reading, whole: RoundedStairs, up: np.ndarray
     steps = len(reading.geometry.steps)
     faces_fit = reading.misfit < MAX_MISFIT and steps > 0
     sharp = whole.fit.crease_px < SHARP_CREASE_PX and whole.fit.noise < SHARP_NOISE
-    if (sharp and steps) or (faces_fit and steps >= min(len(steps_of(whole.nosings)), ENOUGH_STEPS)):
+    seen_whole = len(steps_of(whole.nosings))
+    few = seen_whole < MIN_WHOLE_STEPS
+    if few or (sharp and steps) or (faces_fit and steps >= min(seen_whole, ENOUGH_STEPS)):
         return with_gravity(reading, up)
     geometry = Geometry(
         whole.fit.direction,

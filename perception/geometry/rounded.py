@@ -19,15 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from perception.geometry.profile.depth_profile import COLUMNS, ROWS, Scan
+from perception.geometry.profile.depth_profile import ROWS, Scan
+from perception.geometry.rounded_kinds import FAR_ROWS, RowLines, Rows, clear_lines, lines_in_section, round_kinds
 from perception.geometry.strips.strip_labels import RISER, SAME_FACE_M, TREAD, UNKNOWN
 
-NEAR_ROWS, FAR_ROWS = 120, 53  # of the strips before the first and behind the last line that are read
+NEAR_ROWS = 120  # of the strip before the first line that are read: a floor tells the pitch
 CREASE_ROWS = (0.8, 2.0, 3.5, 5.5, 8.0, 11.0)  # standard deviations of the blur that are tried
 FATTENING_ROWS = (1.5, 3.0, 4.5)  # by which what is in front hides what is behind a descending nosing
 NOISE = 0.006  # 1/m, of a row's inverse depth: 0.13 px at 447 px and 50 mm, what sub-pixel locking of a matcher leaves
 LEAST_NOISE = 0.002  # 1/m: the D435i's 0.08 px over the readings of a row
-ROWS_PER_READING = 30.0  # a matcher's waves are that long; measured: the pitch errs less than with 7, 14 or 60
+ROWS_PER_READING = 30.0  # a matcher's waves: with 14 the steps err by half as much again, with 60 a tenth fewer pass
 CUT = 3.0  # standard deviations from which a row has no weight
 USUAL_RISER_M, USUAL_TREAD_M, USUAL_STD_M = 0.16, 0.29, 0.08  # any stairs: hardly a prior
 RISERS_M, TREADS_M = (0.05, 0.26), (0.18, 0.50)  # nothing else is a staircase
@@ -35,43 +36,9 @@ UNEVENNESS_STD_M = 0.012  # as in `perception.geometry.cross_section`
 TURN_TRIES_RAD = tuple(math.radians(degrees) for degrees in (0.0, -5.0, 5.0, -10.0, 10.0))
 SATISFYING = 0.85  # share of the rows explained beyond which no other pitch is tried
 GUESS_ROWS = 2.0  # blur of the first explanation
+GUESS_TURN_RAD = math.radians(0.5)
+MAX_DOUBT = 2.5  # standard deviations that depth may want the pitch turned by; with the right gravity 2 in 1 of 40
 FREE_TURN_STD_RAD = math.radians(20.0)
-MIN_TREAD_RAD = 0.013  # going down; 8 px at f = 615 px: a jitter of a pixel is an eighth of the step
-RATIO_STD = 0.012  # of an inverse distance at a line, relative: a quarter of a pixel at 1 m
-RATIO_ROUNDING = 0.15  # share of a face that rounding its creases may hide
-MAX_KIND_COST = 9.0
-STRIPE_COST, HIDDEN_TREAD_COST = 1.0, 3.0
-OUTER_KIND_COST = 3.0  # of an outer strip that is left unexplained
-OUTER_STD = 0.015  # relative deviation from a face within an outer strip
-BELOW_EYE_RAD = -0.015  # a tread seen flatter than this shows no depth
-
-
-@dataclass(frozen=True)
-class Rows:
-    """The cross-section as angles and inverse depths, nearest row first.
-
-    Attributes:
-        angle: (J,) above the horizontal, radians.
-        inverse_depth: (J,) 1 / m, 0 where there is nothing.
-        per_depth: (J,) distance in the section per depth.
-        weight: (J,) share of the columns that were read.
-    """
-
-    angle: np.ndarray
-    inverse_depth: np.ndarray
-    per_depth: np.ndarray
-    weight: np.ndarray
-
-    @classmethod
-    def of(cls, scan: Scan) -> Rows:
-        """Those of a scanned scan."""
-        seen = (scan.readings > 0) & (scan.depth_m > 0.0)
-        count = len(scan.slope)
-        inverse = np.where(seen, 1.0 / np.maximum(scan.depth_m, 1e-3), 0.0)
-        ratio = np.hypot(scan.forward_m, scan.height_m) * inverse
-        per_depth = np.interp(np.arange(count), np.nonzero(seen)[0], ratio[seen]) if seen.any() else np.ones(count)
-        weight = np.minimum(scan.readings / COLUMNS, 1.0)
-        return cls(np.arctan(scan.slope), inverse, per_depth, weight)
 
 
 @dataclass(frozen=True)
@@ -104,16 +71,6 @@ class RoundedFit:
     cost: float
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """Lines in the section: row, angle and its standard deviation, and which of the given ones."""
-
-    row: np.ndarray
-    angle: np.ndarray
-    std: np.ndarray
-    source: np.ndarray
-
-
 def fit_rounded(
     scan: Scan, line_slope: np.ndarray, line_slope_std: np.ndarray, turn_std_rad: float, image_height: int
 ) -> RoundedFit | None:
@@ -129,10 +86,10 @@ def fit_rounded(
         The best explanation, going up or down; None without enough lines or depth.
     """
     rows = Rows.of(scan)
-    lines = _in_section(scan, line_slope, line_slope_std)
+    lines = lines_in_section(scan, line_slope, line_slope_std)
     if len(lines.row) < 2 or (rows.inverse_depth > 0.0).sum() < 20:
         return None
-    ways = {1: lines, -1: _clear(lines)}
+    ways = {1: lines, -1: clear_lines(lines)}
     best: _Guess | None = None
     for turn in TURN_TRIES_RAD:
         if best is not None and best.explained > SATISFYING:
@@ -141,12 +98,17 @@ def fit_rounded(
             best = _better(best, _guess(rows, ways[direction], direction, turn, turn_std_rad))
     if best is None:
         return None
-    lines = ways[best.direction]
-    # Gravity holds the pitch fast where it is wrong by little more than it may be: ask depth alone, and compare.
-    alone = _solve(rows, lines, best.kind, best.direction, GUESS_ROWS, best.turn, FREE_TURN_STD_RAD)[0][0]
-    if abs(alone - best.turn) > turn_std_rad:
-        best = _better(best, _guess(rows, lines, best.direction, float(alone), turn_std_rad)) or best
-    kind, direction = best.kind, best.direction
+    # Gravity holds the pitch fast, right or wrong: ask depth alone, too.
+    answer, _, covariance = _solve(
+        rows, best.lines, best.kind, best.direction, GUESS_ROWS, best.turn, FREE_TURN_STD_RAD
+    )
+    alone, doubt = float(answer[0]), math.sqrt(max(float(covariance[len(best.kind), len(best.kind)]), 0.0))
+    if abs(alone) > MAX_DOUBT * doubt:
+        turn_std_rad = FREE_TURN_STD_RAD
+    if abs(alone - best.turn) > GUESS_TURN_RAD:
+        other = _guess(rows, ways[best.direction], best.direction, alone, turn_std_rad)
+        best = other if other is not None and turn_std_rad == FREE_TURN_STD_RAD else _better(best, other) or best
+    lines, kind, direction = best.lines, best.kind, best.direction
     solve = functools.partial(_solve, rows, lines, kind, direction, turn=best.turn, turn_std_rad=turn_std_rad)
     fits = [(*solve(width=width), width) for width in CREASE_ROWS]
     found = min(fits, key=_cost)
@@ -169,8 +131,9 @@ def _cost(found: tuple[np.ndarray, np.ndarray, np.ndarray, float]) -> float:
 
 @dataclass(frozen=True)
 class _Guess:
-    """Faces of one explanation, the pitch that goes with them, and how well they explain the rows."""
+    """Faces and lines of one explanation, the pitch that goes with them, and how well they explain the rows."""
 
+    lines: RowLines
     kind: np.ndarray
     direction: int
     turn: float
@@ -178,15 +141,18 @@ class _Guess:
     cost: float
 
 
-def _guess(rows: Rows, lines: _Lines, direction: int, turn: float, turn_std_rad: float) -> _Guess | None:
+def _guess(rows: Rows, lines: RowLines, direction: int, turn: float, turn_std_rad: float) -> _Guess | None:
     """The staircase that leads in a direction, if gravity is off by a turn; None where that is absurd."""
-    kind = _kinds(rows, lines, turn, direction) if len(lines.row) > 1 else None
+    kind = round_kinds(rows, lines, turn, direction) if len(lines.row) > 1 else None
     if kind is None:
         return None
+    if direction > 0:  # a line between treads of one height is a stripe
+        apart = (kind[:-1] != TREAD) | (kind[1:] != TREAD)
+        lines, kind = lines.chosen(apart), kind[np.append(True, apart)]
     answer, inverse, _ = _solve(rows, lines, kind, direction, GUESS_ROWS, turn, turn_std_rad)
     if not _runs(kind, inverse, direction):
         return None
-    return _Guess(kind, direction, float(answer[0]), float(answer[3]), float(answer[1]))
+    return _Guess(lines, kind, direction, float(answer[0]), float(answer[3]), float(answer[1]))
 
 
 def _better(one: _Guess | None, other: _Guess | None) -> _Guess | None:
@@ -211,7 +177,7 @@ def _as_fit(
     inverse: np.ndarray,
     covariance: np.ndarray,
     kind: np.ndarray,
-    lines: _Lines,
+    lines: RowLines,
     direction: int,
     crease_px: float,
 ) -> RoundedFit:
@@ -235,28 +201,9 @@ def _as_fit(
     )
 
 
-def _in_section(scan: Scan, slope: np.ndarray, slope_std: np.ndarray) -> _Lines:
-    """The lines within the scanned rows, each farther than the one before."""
-    kept: list[int] = []
-    for index in range(len(slope)):
-        inside = len(scan.slope) > 1 and scan.slope[0] < slope[index] < scan.slope[-1]
-        if inside and (not kept or slope[index] > slope[kept[-1]] + 1e-3):
-            kept.append(index)
-    source = np.array(kept, dtype=int)
-    row = np.interp(slope[source], scan.slope, np.arange(len(scan.slope))) if len(source) else np.empty(0)
-    return _Lines(row, np.arctan(slope[source]), slope_std[source] / (1.0 + slope[source] ** 2), source)
-
-
-def _clear(lines: _Lines) -> _Lines:
-    """The lines up to where they lie too close together for the treads between them to be seen from above."""
-    close = np.nonzero(np.diff(lines.angle) < MIN_TREAD_RAD)[0]
-    count = int(close[0]) + 1 if len(close) else len(lines.row)
-    return _Lines(lines.row[:count], lines.angle[:count], lines.std[:count], lines.source[:count])
-
-
 def _solve(
     rows: Rows,
-    lines: _Lines,
+    lines: RowLines,
     kind: np.ndarray,
     direction: int,
     width: float,
@@ -272,7 +219,9 @@ def _solve(
     share, moment = np.empty((count, faces)), np.empty((count, faces))
     kernels.blur_weights(lines.row + fattening, width, count, share, moment)
     place = np.arange(count)
-    row_weight = np.where((place > lines.row[0] - NEAR_ROWS) & (place < lines.row[-1] + FAR_ROWS), rows.weight, 0.0)
+    row_weight = np.where(
+        (place > lines.row[0] - NEAR_ROWS) & (place < min(lines.row[-1] + FAR_ROWS, lines.end)), rows.weight, 0.0
+    )
     inverse, covariance = np.zeros(faces), np.empty((faces + 3, faces + 3))
     answer = np.array([0.0, turn, 0.0, 0.0, 0.0, 0.0])
     kernels.fit(
@@ -293,89 +242,3 @@ def _solve(
         answer,
     )
     return answer, inverse, covariance
-
-
-def _kinds(rows: Rows, lines: _Lines, turn: float, direction: int) -> np.ndarray | None:
-    """(K,) which faces lie between the lines, as the distances at the lines have it; None where that is absurd."""
-    count = len(lines.row) + 1
-    near, far = _outer_costs(rows, lines, turn, 0), _outer_costs(rows, lines, turn, -1)
-    if direction < 0:
-        kind = np.full(count, TREAD)
-        if lines.angle[0] + turn > BELOW_EYE_RAD:
-            return None
-        steep = np.append(lines.angle, lines.angle[-1]) + turn > BELOW_EYE_RAD
-        kind[steep] = UNKNOWN
-        if far[0] < far[1]:
-            kind[-1] = UNKNOWN
-        return kind
-    unary = np.empty((count, 3))
-    unary[0], unary[-1] = near, far
-    unary[1:-1] = _strip_costs(rows, lines, turn)
-    pair = np.zeros((count - 1, 3, 3))
-    pair[:, TREAD, TREAD] = STRIPE_COST
-    tread_seen = lines.angle + turn < BELOW_EYE_RAD
-    pair[:, RISER, RISER] = np.where(tread_seen, HIDDEN_TREAD_COST, 0.0)
-    from perception.geometry.strips import strip_kernels
-
-    kernels: Any = strip_kernels
-    kinds = np.empty(count, dtype=np.int64)
-    kernels.cheapest_sequence(unary, pair, kinds)
-    return kinds if (kinds == RISER).any() else None
-
-
-def _strip_costs(rows: Rows, lines: _Lines, turn: float) -> np.ndarray:
-    """(K - 2, 3) cost of the kinds of the strips between two lines.
-
-    From one line to the next the inverse distance changes as the cosine of the angle on a riser and as its sine on a
-    tread: where the change lies between the two says which it is, however round the creases are.
-    """
-    inverse = np.array([_at_row(rows, row) for row in lines.row])
-    angle = lines.angle + turn
-    sin, cos = np.sin(angle), np.maximum(np.cos(angle), 1e-3)
-    both = (inverse[:-1] > 0.0) & (inverse[1:] > 0.0)
-    change = np.log(np.maximum(inverse[1:], 1e-6) / np.maximum(inverse[:-1], 1e-6))
-    as_riser = np.log(cos[1:] / cos[:-1])
-    below = (sin[1:] < math.sin(BELOW_EYE_RAD)) & (sin[:-1] < math.sin(BELOW_EYE_RAD))
-    as_tread = np.log(np.where(below, sin[1:], -1.0) / np.where(below, sin[:-1], -1.0))
-    apart = np.maximum(np.abs(as_tread - as_riser), 1e-3)
-    std = np.hypot(RATIO_STD * math.sqrt(2.0), RATIO_ROUNDING * apart)
-    cost = np.empty((len(change), 3))
-    cost[:, UNKNOWN] = MAX_KIND_COST
-    cost[:, RISER] = np.where(both, np.minimum(0.5 * ((change - as_riser) / std) ** 2, MAX_KIND_COST), 1.0)
-    cost[:, TREAD] = np.where(both, np.minimum(0.5 * ((change - as_tread) / std) ** 2, MAX_KIND_COST), 1.0)
-    cost[~below, TREAD] = np.inf
-    cost[~below, RISER] = 0.0
-    return cost
-
-
-def _at_row(rows: Rows, row: float, reach: int = 3) -> float:
-    """Inverse distance in the section around a row, 1 / m; 0 where nothing is seen."""
-    for wider in (reach, 3 * reach):
-        low, high = max(int(row) - wider, 0), int(row) + wider + 2
-        near = rows.inverse_depth[low:high] / rows.per_depth[low:high]
-        near = near[near > 0.0]
-        if len(near) >= 2:
-            return float(np.median(near))
-    return 0.0
-
-
-def _outer_costs(rows: Rows, lines: _Lines, turn: float, end: int) -> np.ndarray:
-    """(3,) cost of the kinds of the strip before the first (end 0) or behind the last line (end -1)."""
-    row = round(float(lines.row[end]))
-    low, high = (max(row - FAR_ROWS, 0), row - 3) if end == 0 else (row + 4, row + FAR_ROWS)
-    part = slice(low, max(high, low))
-    angle, inverse = rows.angle[part] + turn, rows.inverse_depth[part] / rows.per_depth[part]
-    seen = inverse > 0.0
-    cost = np.array([OUTER_KIND_COST, np.inf, np.inf])
-    if seen.sum() < 6:
-        return np.array([0.0, 1.0, 1.0])
-    angle, inverse = angle[seen], inverse[seen]
-    for kind, shape in ((TREAD, np.sin(angle)), (RISER, np.cos(angle))):
-        if kind == TREAD and (shape > math.sin(BELOW_EYE_RAD)).mean() > 0.5:
-            continue
-        value = np.median(inverse / shape)
-        if kind == TREAD and value > 0.0:
-            continue
-        miss = np.minimum(np.abs(inverse / (value * shape) - 1.0) / OUTER_STD, 3.0)
-        cost[kind] = float(np.mean(miss**2))
-    return cost

@@ -7,23 +7,24 @@ off by degrees or unknown.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from perception.geometry.cross_section import Section, read_nosings
 from perception.geometry.line_matching import lateral_extent
 from perception.geometry.lines import SCORE_THRESHOLD, median
-from perception.geometry.profile.depth_profile import scan_profile
+from perception.geometry.profile.depth_profile import Scan, scan_profile
 from perception.geometry.results import Nosing
 from perception.geometry.rounded import RoundedFit, fit_rounded
 from perception.geometry.strips.levelling import level_sideways, turn_pitch
 from perception.geometry.strips.strip_planes import Faces, LineViews, sample_strips
 from stair_env.intrinsics import Intrinsics
 
-SCANS = 2  # the cross-section is scanned again once roll and yaw are known better
-SETTLED_RAD = math.radians(0.3)  # a correction sideways after which no scan is worth its time
+SETTLED_RAD = math.radians(0.3)  # a correction sideways after which no second scan is worth its time
 MIN_EXPLAINED = 0.78  # share of the rows; below, it is something else
+MAX_NOISE = 0.013  # 1/m; 0.3 px at 447 px and 50 mm: what lies farther off than a matcher's waves has another shape
+MAX_RISER_STD_M = 0.014  # of any riser; one known no better tells nothing
 EDGE_MARGIN_PX = 3.0
 MARGIN_CREASES = 1.5  # standard deviations of the blur that are left out on either side of a line
 
@@ -55,6 +56,7 @@ def measure_rounded(
     camera_to_stair: np.ndarray,
     gravity_std_rad: float,
     omega_m: float,
+    scan: Scan | None = None,
 ) -> RoundedStairs | None:
     """Fit a blurred staircase to all of the depth.
 
@@ -67,6 +69,7 @@ def measure_rounded(
         camera_to_stair: (3, 3) rotation into (f, l, h) from gravity and the lines.
         gravity_std_rad: of gravity, with long tails.
         omega_m: smallest riser and tread that counts, metres.
+        scan: the cross-section under this rotation, if it has been scanned.
 
     Returns:
         None where no staircase explains the depth.
@@ -75,34 +78,68 @@ def measure_rounded(
     if len(sure) < 2:
         return None
     lines, views = lines[sure], views.chosen(sure)
-    rotation, yaw_std = camera_to_stair, 0.0
-    for scan in range(SCANS):
-        lateral = lateral_extent(lines, depth_m, intrinsics, rotation)
-        middle_x = median((lines[:, 0] + lines[:, 2]) / 2.0)
-        profile = scan_profile(depth_m, intrinsics, rotation, middle_x, lateral)
-        fit = fit_rounded(profile, *views.slopes(rotation), gravity_std_rad, intrinsics.height)
-        if fit is None:
-            return None
-        pitched = turn_pitch(fit.turn_rad) @ rotation
-        used = fit.line
-        margin = max(EDGE_MARGIN_PX, MARGIN_CREASES * fit.crease_px)
-        strips = sample_strips(lines[used], depth_m, intrinsics, margin)
-        levelled, covariance = level_sideways(strips, fit.kind, pitched, views.chosen(used), gravity_std_rad)
-        yaw_std = math.sqrt(max(float(covariance[1, 1]), 0.0))
-        settled = float(np.abs(levelled - pitched).max()) < SETTLED_RAD
-        if settled or scan == SCANS - 1:
-            break
-        # Sideways only: the pitch is found again, about gravity as it was given.
-        rotation = turn_pitch(-fit.turn_rad) @ levelled
-    if fit is None or fit.explained < MIN_EXPLAINED:
+    first = _fit_once(lines, views, depth_m, intrinsics, camera_to_stair, gravity_std_rad, scan)
+    if first is None:
         return None
-    rotation = levelled
+    found = first
+    if not first.settled:  # sideways only: the pitch is found again, about gravity as it was given
+        turned = turn_pitch(-first.fit.turn_rad) @ first.camera_to_stair
+        again = _fit_once(lines, views, depth_m, intrinsics, turned, gravity_std_rad)
+        if again is None:
+            return None
+        found = again
+    fit, rotation, covariance, used = found.fit, found.camera_to_stair, found.side_cov, found.fit.line
+    if fit.explained < MIN_EXPLAINED or fit.noise > MAX_NOISE:
+        return None
     slope, slope_std = views.slopes(rotation)
     order = np.append(np.arange(len(used)), 0)
     section = Section(fit.kind, fit.value, fit.covariance, order, order)
-    angle_cov = np.diag([covariance[0, 0], fit.turn_std_rad**2, covariance[1, 1]])
+    angle_cov = np.diag([float(covariance[0, 0]), fit.turn_std_rad**2, float(covariance[1, 1])])
     faces = Faces(fit.kind, fit.value, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), rotation, angle_cov)
     nosings, kinds = read_nosings(section, fit.direction, (slope[used], slope_std[used]), faces, omega_m)
-    return RoundedStairs(
-        fit, nosings, {int(sure[used[index]]): kind for index, kind in kinds.items()}, rotation, yaw_std
-    )
+    nosings = tuple(_without_guesses(nosing) for nosing in nosings)
+    yaw_std = math.sqrt(max(float(covariance[1, 1]), 0.0))
+    edges = {int(sure[used[index]]): kind for index, kind in kinds.items()}
+    return RoundedStairs(fit, nosings, edges, rotation, yaw_std)
+
+
+def _without_guesses(nosing: Nosing) -> Nosing:
+    """A nosing without a riser that is hardly known: the flight's likeness alone would tell it, not this frame."""
+    if nosing.riser_std_m is not None and nosing.riser_std_m > MAX_RISER_STD_M:
+        return replace(nosing, riser_m=None, riser_std_m=None)
+    return nosing
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """One scan's fit, the rotation that goes with it, the covariance (2, 2) of that about f and h, and whether the scan
+    was level enough sideways."""
+
+    fit: RoundedFit
+    camera_to_stair: np.ndarray
+    side_cov: np.ndarray
+    settled: bool
+
+
+def _fit_once(
+    lines: np.ndarray,
+    views: LineViews,
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    camera_to_stair: np.ndarray,
+    gravity_std_rad: float,
+    scan: Scan | None = None,
+) -> _Fitted | None:
+    """Scan the cross-section, fit it, and level the camera by what it shows; None where no staircase explains it."""
+    if scan is None:
+        lateral = lateral_extent(lines, depth_m, intrinsics, camera_to_stair)
+        middle_x = median((lines[:, 0] + lines[:, 2]) / 2.0)
+        scan = scan_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral)
+    fit = fit_rounded(scan, *views.slopes(camera_to_stair), gravity_std_rad, intrinsics.height)
+    if fit is None:
+        return None
+    pitched = turn_pitch(fit.turn_rad) @ camera_to_stair
+    margin = max(EDGE_MARGIN_PX, MARGIN_CREASES * fit.crease_px)
+    strips = sample_strips(lines[fit.line], depth_m, intrinsics, margin)
+    levelled, covariance = level_sideways(strips, fit.kind, pitched, views.chosen(fit.line), gravity_std_rad)
+    return _Fitted(fit, levelled, covariance, float(np.abs(levelled - pitched).max()) < SETTLED_RAD)

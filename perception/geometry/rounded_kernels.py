@@ -18,6 +18,7 @@ MAX_UNKNOWN_SHARE = 0.15  # of a row that an unexplained strip may have blurred 
 UNKNOWN_OUTSIDE = 0.3  # what leaving a row before or behind all lines unexplained costs, of one between them
 MAX_TURN = 0.06  # radians per round
 FIRST_RISER = 2.5  # times as unlike: floors are laid after the stairs
+SETTLED = 3e-4  # radians, or share of an inverse distance, below which no further round is worth its time
 TAIL = 1.0  # degrees of freedom of what gravity may be off by
 RIDGE = 1e-2  # m^2: a face that nothing is known of stays at infinity instead of making the equations singular
 
@@ -106,8 +107,9 @@ def fit(
     column = np.empty(faces)
     scatter = np.empty(rows)
     cost, explained, counted = 0.0, 0.0, 0.0
+    settled = False
     for turn in range(ROUNDS + 1):
-        last = turn == ROUNDS
+        last = settled or turn == ROUNDS
         normal[:] = 0.0
         right[:] = 0.0
         cost, explained, counted = 0.0, 0.0, 0.0
@@ -121,11 +123,13 @@ def fit(
             bend = (per_depth[ahead] - per_depth[behind]) / (ahead - behind)
             k = per_depth[j]
             model, slope, unknown = 0.0, 0.0, 0.0
+            first, end = faces, 0  # of the faces that are blurred into this row
             for i in range(faces):
                 w, m = weight[j, i], moment[j, i]
                 if w < 1e-4 and abs(m) < 1e-4:
                     column[i] = 0.0
                     continue
+                first, end = min(first, i), i + 1
                 if kind[i] == TREAD:
                     column[i] = w * k * sin + m * (k * cos * step + bend * sin)
                     slope += inverse[i] * w * k * cos
@@ -157,12 +161,10 @@ def fit(
             a = row_weight[j] * robust / (sigma * sigma * per_reading)
             if a <= 0.0:
                 continue
-            for i in range(faces):
-                if column[i] == 0.0:
-                    continue
+            for i in range(first, end):
                 right[i] += a * column[i] * off
                 normal[i, faces] += a * column[i] * slope
-                for n in range(i, faces):
+                for n in range(i, end):
                     normal[i, n] += a * column[i] * column[n]
             normal[faces, faces] += a * slope * slope
             right[faces] += a * slope * off
@@ -263,10 +265,14 @@ def fit(
         if last:
             break
         step_vector = np.linalg.solve(normal, right)
-        turned = min(max(step_vector[faces], -MAX_TURN), MAX_TURN)
+        turned = float(step_vector[faces])
+        if abs(turned) > MAX_TURN:
+            turned = math.copysign(MAX_TURN, turned)
         if turn == 0:  # without faces yet, only the prior would move it
             turned = 0.0
+        settled = turn > FIRST_ROUNDS and abs(turned) < SETTLED
         for i in range(faces):
+            settled = settled and abs(step_vector[i]) < SETTLED * max(abs(inverse[i]), 1.0)
             inverse[i] += step_vector[i]
         pitch += turned
         riser += step_vector[faces + 1]

@@ -24,6 +24,7 @@ from perception.geometry.strips.strip_planes import (
 ROUNDS = 4
 FIRST_GATE_RAD = 0.15  # six degrees of roll turn the lines' directions apart by as much
 MAX_STEP_RAD = 0.1
+SETTLED_RAD = 0.001
 
 
 def turn_pitch(turn_rad: float) -> np.ndarray:
@@ -72,6 +73,8 @@ def level_sideways(
         step: Any = np.clip(-covariance @ gradient, -MAX_STEP_RAD, MAX_STEP_RAD)
         rotation = turn_sideways(float(step[0]), float(step[1])) @ rotation
         rolled += float(step[0])
+        if np.abs(step).max() < SETTLED_RAD:
+            break
     return rotation, covariance
 
 

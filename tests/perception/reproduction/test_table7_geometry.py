@@ -106,8 +106,18 @@ def test_a_step_far_from_every_true_one_does_not_count() -> None:
 def test_config_names_what_is_wrong() -> None:
     with pytest.raises(SpecError, match="network"):
         MeasureConfig(network="yolo")  # type: ignore[arg-type]
+    with pytest.raises(SpecError, match="depth"):
+        MeasureConfig(depth="lidar")
     with pytest.raises(SpecError, match="poses"):
         MeasureConfig(poses=0)
+
+
+def test_matched_depth_is_measured_too() -> None:
+    config = MeasureConfig(network="ideal", poses=1, stairs=PAPER_STAIRS[:1], depth="stereo")
+    result = run_measurement(config, seed=1)
+    assert result["depth"] == "stereo"
+    assert result["rmse_mm_by"]["planes"]["ascending"]["coverage"] > 0.5
+    assert 0.0 < result["rmse_mm"]["ascending"][1] < 10.0
 
 
 def test_ideal_detector_needs_its_answers_first() -> None:
