@@ -23,6 +23,7 @@ from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
 from stair_env.common.importing.extras import naming_extras
 
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
+HUB_NORMALISATION_FILE = "vec_normalize.pkl"  # what the Hugging Face hub calls NORMALISATION_FILE
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "card.json"
 ARGUMENTS_FILE, BEST_FILE = "args.yml", "best_model.zip"  # of rl_zoo3's runs
@@ -113,6 +114,21 @@ def locate(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> Path:
     return _own_files(policy, weights)[MODEL_FILE].parent
 
 
+def read_files(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> dict[str, bytes]:
+    """Contents of a policy's files: `model.zip`, and where it has them `vecnormalize.pkl` and rl_zoo3's `args.yml`.
+
+    Args:
+        policy: as in `load`.
+        weights: folder of shipped policies.
+
+    Raises:
+        PolicyError: no such policy, or a shipped file was changed.
+    """
+    if str(policy) in _manifest(weights):
+        return _read_checked(str(policy), weights)
+    return {name: path.read_bytes() for name, path in _own_files(policy, weights).items()}
+
+
 def _own_files(policy: str | Path, weights: Path) -> dict[str, Path]:
     """Files of a policy that is not a shipped one, by the names that shipped ones have.
 
@@ -144,6 +160,8 @@ def _files_beside(model: Path) -> dict[str, Path]:
         places = [own / name, model.with_name(name)]
         if steps and name == NORMALISATION_FILE:
             places.insert(0, model.with_name(f"{steps[1]}_vecnormalize_{steps[2]}_steps.pkl"))
+        if name == NORMALISATION_FILE:
+            places.append(model.with_name(HUB_NORMALISATION_FILE))
         if model.name == BEST_FILE or steps:
             places += [folder / name for folder in folders]
         for place in places:
@@ -169,11 +187,7 @@ def load(
     Raises:
         PolicyError: unknown name, changed, damaged or foreign file, unknown algorithm, or spaces that do not match.
     """
-    folder = locate(policy, weights)
-    if str(policy) in _manifest(weights):
-        contents = _read_checked(str(policy), weights)
-    else:
-        contents = {name: path.read_bytes() for name, path in _own_files(policy, weights).items()}
+    folder, contents = locate(policy, weights), read_files(policy, weights)
     card_file = folder / CARD_FILE
     card = json.loads(card_file.read_text(encoding="utf-8")) if card_file.is_file() else {}
     loaded = _rebuild(str(policy), contents, card, trusted)

@@ -1,11 +1,12 @@
 """Training with Stable-Baselines3: PPO and SAC, checkpointed and resumable.
 
 A run's folder holds `config.json` (what was asked), `checkpoints/` (see `policies.train.checkpoints`), `curve.csv` (one
-row an interval), `tensorboard/` when asked for, and at the end `final/` (model, normalisation, card).
+row an interval), `tensorboard/` and `wandb/` when asked for, and at the end `final/` (model, normalisation, card).
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import json
@@ -21,6 +22,7 @@ from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
+from policies.train.wandb_run import wandb_run
 from stair_env.common.files import provenance, write_json
 from stair_env.observation import PRIVILEGED_KEY
 
@@ -55,6 +57,8 @@ class TrainingConfig:
         vec_kind: "auto", "subproc", "dummy" or "workers" (`policies.make_env.make_vec_env`).
         checkpoint_every: environment steps between checkpoints.
         tensorboard: write TensorBoard logs.
+        wandb: project of Weights & Biases that gets what TensorBoard gets; None for none. `WANDB_MODE=offline` keeps it
+            on this machine.
         torch_threads: threads of the network's updates.
 
     Raises:
@@ -72,6 +76,7 @@ class TrainingConfig:
     vec_kind: str = "auto"
     checkpoint_every: int = 50_000
     tensorboard: bool = False
+    wandb: str | None = None
     torch_threads: int = 1
 
     def __post_init__(self) -> None:
@@ -133,13 +138,16 @@ def train(
     venv = make_vec_env(
         config.env_id, int(hyperparams["n_envs"]), config.env_kwargs, seed=config.seed, kind=config.vec_kind
     )
-    try:
+    with contextlib.ExitStack() as opened:
+        opened.callback(venv.close)
         write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
         if saved:
             model = _load_model(config, hyperparams, venv, saved[-1])
         else:
             model = _new_model(config, hyperparams, venv, start_from)
-        _set_logging(model, folder / "tensorboard" if config.tensorboard else None)
+        logs = folder / "tensorboard" if config.tensorboard or config.wandb else None
+        opened.enter_context(wandb_run(config.wandb, folder, config.to_dict()))  # before TensorBoard's writer
+        _set_logging(model, logs)
         curve = CurveCallback(folder / CURVE_FILE)
         callbacks = [CheckpointCallback(folder / CHECKPOINT_FOLDER, config.checkpoint_every), curve]
         if show_progress:
@@ -148,8 +156,6 @@ def train(
         if remaining > 0:
             model.learn(remaining, callback=callbacks, reset_num_timesteps=not saved, log_interval=1)
         return _finish(config, model, folder, curve.summary())
-    finally:
-        venv.close()
 
 
 def load_config(folder: Path | str) -> TrainingConfig:

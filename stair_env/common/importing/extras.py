@@ -19,6 +19,8 @@ EXTRA_OF = {
     "onnxscript": "train",
     "matplotlib": "train",
     "psutil": "train",
+    "minari": "minari",
+    "wandb": "wandb",
 }
 
 
