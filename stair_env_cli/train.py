@@ -52,6 +52,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--start-from", metavar="POLICY", help="begin with a shipped policy or a folder (fine-tuning)")
     parser.add_argument("--checkpoint-every", type=positive_int, default=50_000, help="environment steps (%(default)s)")
     parser.add_argument("--tensorboard", action="store_true", help="write TensorBoard logs into the run's folder")
+    parser.add_argument(
+        "--rerun",
+        action="store_true",
+        help="with each checkpoint fly the policy up and down, into recordings for the Rerun viewer in flights/",
+    )
     parser.add_argument("--torch-threads", type=positive_int, default=1, help="threads of the updates (%(default)s)")
     add_common_arguments(parser)
 
@@ -106,4 +111,5 @@ def _config(args: argparse.Namespace) -> Any:
         checkpoint_every=args.checkpoint_every,
         tensorboard=args.tensorboard,
         torch_threads=args.torch_threads,
+        rerun=args.rerun,
     )
