@@ -352,6 +352,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
 
     # ------------------------------------------------------------------ looks
 
+    @property
+    def simulation(self) -> Simulation | None:
+        """The physics, for viewers and tools: policies learn nothing from it. None before the first reset."""
+        return self._sim
+
     def render(self) -> np.ndarray | None:
         """Third-person picture: uint8 (H, W, 3), or float32 (H, W) metres for "depth_array"."""
         if self.render_mode is None:
