@@ -6,7 +6,8 @@ DEMO_DIR ?= runs/demo
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log.py tests/policies/report/test_flight_log.py
+DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log.py tests/policies/report/test_flight_log.py \
+	tests/policies/train/test_flight_callback.py tests/policies/watch/test_page.py
 # One thread a process: the tests and the workers bring their own parallelism.
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
@@ -18,7 +19,7 @@ help:
 	@echo "make test       the test suite (make test-slow: training and soak tests)"
 	@echo "make test-clients  the recipes of examples/clients with the libraries that they are for"
 	@echo "make test-lowest   core tests with the lowest versions that pyproject.toml allows"
-	@echo "make test-device  devices, ROS recordings and Rerun: installs these extras, and runs their tests"
+	@echo "make test-device  devices, ROS recordings, Rerun and the page: installs these extras, and runs their tests"
 	@echo "make docs       the documentation as a site in build/site, clicked through in a browser where Debian's chromium is"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      time ratios against bare PyBullet and naive chains"
@@ -54,12 +55,13 @@ test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet -c lowest.txt -e '.[all]' pytest hypothesis
 	$(ONE_THREAD) .venv-lowest/bin/python -m pytest -q $(LOWEST_TESTS)
-# The extras of a real camera; pyrealsense2's wheel also needs Debian's libusb-1.0-0, without which its tests are skipped.
+# The extras of a real camera and of looking at what it sees. pyrealsense2's wheel also needs Debian's libusb-1.0-0, the
+# page's test Debian's chromium; without them these tests are skipped.
 test-device: $(VENV)/.device
 	$(ONE_THREAD) $(BIN)/python -m pytest -q -rs $(DEVICE_TESTS)
 
 $(VENV)/.device: $(STAMP)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,rerun]'
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,rerun,watch]' playwright
 	@touch $@
 
 # An environment of its own: what builds pages is no part of what runs. The last line is skipped where no browser is.

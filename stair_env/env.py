@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,7 +12,7 @@ from gymnasium import spaces
 from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
 from stair_env.common.pickling import PicklesByArguments
 from stair_env.common.validation import check_choice, read_action
-from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
+from stair_env.observation import StairBlock, proprio_space, stair_space
 from stair_env.onboard.gait import GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.onboard.planner import GaitPlanner, make_planner
@@ -221,8 +220,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         """Reset what runs on the robot and what disturbs it."""
         self._imu = MountedImu(ImuConfig(), np.zeros(3), np.eye(3), PHYSICS_RATE_HZ, imu_rng)
         self._proprioception.reset(self._base.rotation[2] * GRAVITY_M_S2)
-        feet = self._kinematics.foot_positions(self._reading.joint_positions) @ self._proprioception.base_to_level.T
-        self.gait.reset(feet[:, 2] - feet[0, 2], phase=float(body_rng.random()), pitch=spawn.pitch)
+        feet = self._proprioception.foot_heights(self._reading.joint_positions)
+        self.gait.reset(feet, phase=float(body_rng.random()), pitch=spawn.pitch)
         self._latency.reset(targets, body_rng)
         self._pushes.reset(body_rng)
 
@@ -313,21 +312,14 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._block = block
 
     def _proprio(self) -> np.ndarray:
-        state, sensed, phase = self.state, self._proprioception, 2 * np.pi * self.gait.phase
-        return pack_proprio(
-            {
-                "gravity": -sensed.up,
-                "angular_velocity": sensed.angular_velocity,
-                "velocity": sensed.velocity,
-                "yaw_rate": [sensed.yaw_rate],
-                "joint_position": state.joint_positions,
-                "joint_velocity": state.joint_velocities,
-                "joint_error": state.joint_targets - state.joint_positions,
-                "contact": state.contacts.touching,
-                "foothold_height": self.gait.foothold_heights,
-                "phase": [math.sin(phase), math.cos(phase)],
-                "last_action": state.action,
-            }
+        state = self.state
+        return self._proprioception.block(
+            state.joint_positions,
+            state.joint_velocities,
+            state.joint_targets,
+            state.contacts.touching,
+            self.gait,
+            state.action,
         )
 
     def _observation(self) -> dict[str, np.ndarray]:
@@ -359,6 +351,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         return info
 
     # ------------------------------------------------------------------ looks
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """The physics, for viewers and tools: policies learn nothing from it. None before the first reset."""
+        return self._sim
 
     def render(self) -> np.ndarray | None:
         """Third-person picture: uint8 (H, W, 3), or float32 (H, W) metres for "depth_array"."""

@@ -23,6 +23,7 @@ from stair_env.common.importing.shadowing import ShadowedPackageError
 COMMANDS: dict[str, str] = {
     "demo": "the shipped policy climbs with perception in the loop; annotated video and summary",
     "view": "render staircases or sensor frames to PNG",
+    "watch": "watch a robot climb in a browser page, and interfere",
     "train": "train a policy with Stable-Baselines3",
     "evaluate": "compare stair sources on paired episodes",
     "publish": "write a policy as a folder for the Hugging Face hub",

@@ -55,6 +55,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--wandb", metavar="PROJECT", help="curves on Weights & Biases too (WANDB_MODE=offline: into the run's folder)"
     )
+    parser.add_argument(
+        "--rerun",
+        action="store_true",
+        help="with each checkpoint fly the policy up and down, into recordings for the Rerun viewer in flights/",
+    )
     parser.add_argument("--torch-threads", type=positive_int, default=1, help="threads of the updates (%(default)s)")
     add_common_arguments(parser)
 
@@ -110,4 +115,5 @@ def _config(args: argparse.Namespace) -> Any:
         tensorboard=args.tensorboard,
         wandb=args.wandb,
         torch_threads=args.torch_threads,
+        rerun=args.rerun,
     )

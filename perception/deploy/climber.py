@@ -10,12 +10,12 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from perception.deploy.onnx_actor import OnnxActor
+from perception.deploy.readings import BodyReading, CameraReading
 from perception.estimator import StairEstimator, check_images
 from perception.geometry.results import StairEstimate
 from perception.tracking.stair_perception import StairPerception
@@ -23,8 +23,8 @@ from perception.tracking.tracker import StairTracker
 from stair_env.common.constants import CONTROL_DT, PHYSICS_RATE_HZ
 from stair_env.intrinsics import Intrinsics
 from stair_env.observation import StairBlock
-from stair_env.onboard.body_sense import BodyReading, BodySense
 from stair_env.onboard.gait import ACTION_SIZE, Gait
+from stair_env.onboard.proprioception import Proprioception
 from stair_env.robots import RobotSpec, get_robot
 
 PARTS = ("body", "network", "geometry", "tracker", "policy", "gait")
@@ -35,23 +35,6 @@ class Actor(Protocol):
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         """(16,) action in [-1, 1] for `proprio` and `stair`."""
-
-
-@dataclass(frozen=True)
-class CameraReading:
-    """A frame of the robot's camera, when there is a new one.
-
-    Attributes:
-        number: grows from frame to frame.
-        captured_at_s: on the clock of the body's readings.
-        rgb: uint8 (H, W, 3).
-        depth_m: float32 (H, W) metres, aligned to rgb, 0 = no reading.
-    """
-
-    number: int
-    captured_at_s: float
-    rgb: np.ndarray
-    depth_m: np.ndarray
 
 
 class StairClimber:
@@ -85,7 +68,7 @@ class StairClimber:
         self._actor = actor
         self._estimator = estimator if estimator is not None else StairEstimator(refine_gravity=False)
         self._perception = StairPerception(self.robot, intrinsics, tracker)
-        self._sense, self._gait = BodySense(self.robot, imu_rate_hz), Gait(self.robot)
+        self._sense, self._gait = Proprioception(self.robot, imu_rate_hz), Gait(self.robot)
         self._targets: np.ndarray | None = None
         self._last_action = np.zeros(ACTION_SIZE)
         self._spent: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
@@ -125,11 +108,10 @@ class StairClimber:
         Returns:
             As `step`.
         """
-        joints = np.asarray(body.joint_position, np.float64)
-        self._sense.begin(body, rest)
-        self._gait.reset(self._sense.foot_heights(joints), phase=phase, pitch=pitch)
+        self._sense.reset(body.imu[:, :3].mean(axis=0) if rest is None else np.asarray(rest, np.float64))
+        self._gait.reset(self._sense.foot_heights(body.joint_position), phase=phase, pitch=pitch)
         self._perception.reset(body.time_s)
-        self._targets = joints.copy() if targets is None else np.asarray(targets, np.float64)
+        self._targets = body.joint_position.copy() if targets is None else np.asarray(targets, np.float64)
         self._last_action = np.zeros(ACTION_SIZE)
         return self._act(body, camera_imu, frame)
 
@@ -151,13 +133,15 @@ class StairClimber:
         if self._targets is None:
             raise RuntimeError("call begin() before step()")
         with self._timed("body"):
-            self._sense.update(body)
+            self._sense.update(body.imu, body.joint_position, body.contact, CONTROL_DT)
         return self._act(body, camera_imu, frame)
 
     def _act(self, body: BodyReading, camera_imu: np.ndarray, frame: CameraReading | None) -> np.ndarray:
         assert self._targets is not None
         with self._timed("body"):
-            proprio = self._sense.proprio(body, self._targets, self._gait, self._last_action)
+            proprio = self._sense.block(
+                body.joint_position, body.joint_velocity, self._targets, body.contact, self._gait, self._last_action
+            )
             self._perception.feel(proprio, camera_imu, body.time_s)
         if frame is not None and self._perception.is_new(frame.number):
             self._look(frame)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +36,13 @@ def load_rerun() -> Any:
 
 
 @contextlib.contextmanager
-def rerun_log(path: Path) -> Iterator[RerunLog]:
-    """Write a recording (.rrd); it takes its place when the block ends.
+def rerun_recording(path: Path, application: str, make_blueprint: Callable[[Any], Any]) -> Iterator[tuple[Any, Any]]:
+    """The module rerun and a recording (.rrd) that takes its place when the block ends.
+
+    Args:
+        path: of the file.
+        application: name under which the viewer remembers its layout.
+        make_blueprint: from the module rerun to how the file opens.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.
@@ -46,12 +51,22 @@ def rerun_log(path: Path) -> Iterator[RerunLog]:
 
     rerun = load_rerun()
     with atomic_path(path) as temporary:
-        recording = rerun.RecordingStream("stair_env")
-        recording.save(str(temporary), default_blueprint=blueprint(rerun))
-        log = RerunLog(rerun, recording)
-        yield log
+        recording = rerun.RecordingStream(application)
+        recording.save(str(temporary), default_blueprint=make_blueprint(rerun))
+        yield rerun, recording
         recording.flush()
         recording.disconnect()
+
+
+@contextlib.contextmanager
+def rerun_log(path: Path) -> Iterator[RerunLog]:
+    """Write measurements into a recording (.rrd); it takes its place when the block ends.
+
+    Raises:
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    with rerun_recording(path, "stair_env", blueprint) as opened:
+        yield RerunLog(*opened)
 
 
 def blueprint(rerun: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from policies.report.camera_view import camera_view
 from policies.report.film_layout import FAINT, TEXT, compose, measurement_words
 from policies.rollout import Episode
 from stair_env.common.files import atomic_path
@@ -18,8 +19,6 @@ from stair_env.physics.simulation import CONTROL_RATE_HZ
 STEPS_PER_FRAME = 4  # 12 frames a second: the robot's camera takes 15
 HOLD_FRAMES = 8  # of the last picture
 CRF = "26"  # H.264's constant quality: 18 looks lossless, 28 soft
-FRAME_ATTRIBUTE, PERCEPTION_ATTRIBUTE = "last_rgb", "perception"  # of perception.wrapper.PerceptionWrapper
-
 ONLOOKER_ATTRIBUTE = "onlooker_view"  # of stair_env.rgbd.StairClimbRgbdEnv
 
 
@@ -79,7 +78,7 @@ class Film:
             (outcome, TEXT),
         ]
         return compose(
-            self._onlooker_view(), self._camera_view(), [first, measurement_words(observation["stair"], truth)]
+            self._onlooker_view(), camera_view(self._env), [first, measurement_words(observation["stair"], truth)]
         )
 
     def _onlooker_view(self) -> np.ndarray:
@@ -87,13 +86,3 @@ class Film:
         ray_cast = self._env.has_wrapper_attr(ONLOOKER_ATTRIBUTE)
         view: Any = self._env.get_wrapper_attr(ONLOOKER_ATTRIBUTE)() if ray_cast else self._env.render()
         return np.asarray(view)
-
-    def _camera_view(self) -> np.ndarray | None:
-        """The newest camera frame with the lines found in it; None for a robot that does not look."""
-        if not self._env.has_wrapper_attr(FRAME_ATTRIBUTE):
-            return None
-        from perception.drawing import draw_estimate
-
-        estimate = self._env.get_wrapper_attr(PERCEPTION_ATTRIBUTE).estimate
-        drawn: np.ndarray = draw_estimate(self._env.get_wrapper_attr(FRAME_ATTRIBUTE), estimate)
-        return drawn

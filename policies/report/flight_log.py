@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from perception.looking.rerun_log import load_rerun
+from perception.looking.rerun_log import rerun_recording
+from policies.report.camera_view import camera_view
 from stair_env.common.constants import CONTROL_DT
-from stair_env.common.files import atomic_path
 from stair_env.observation import STAIR_FIELDS
 from stair_env.stairs import StairSpec
 
@@ -21,20 +21,13 @@ PICTURES_EVERY = 4  # control steps: the camera takes 15 frames a second
 TRUNK_HALF_M = (0.25, 0.12, 0.06)
 
 
-@contextlib.contextmanager
-def open_flights(path: Path) -> Iterator[tuple[Any, Any]]:
+def open_flights(path: Path) -> contextlib.AbstractContextManager[tuple[Any, Any]]:
     """The module rerun and a recording (.rrd) that takes its place when the block ends.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.
     """
-    rerun = load_rerun()
-    with atomic_path(path) as temporary:
-        recording = rerun.RecordingStream("stair_env flights")
-        recording.save(str(temporary), default_blueprint=blueprint(rerun))
-        yield rerun, recording
-        recording.flush()
-        recording.disconnect()
+    return rerun_recording(path, "stair_env flights", blueprint)
 
 
 def blueprint(rerun: Any) -> Any:
@@ -108,13 +101,9 @@ class FlightLog:
         self._to.log("world/measured", rr.LineStrips3D(next_edge(fields, truth, hips), colors=MEASURED, radii=0.01))
 
     def _picture(self) -> None:
-        if not self._env.has_wrapper_attr("last_rgb") or self._env.get_wrapper_attr("last_rgb") is None:
-            return
-        from perception.drawing import draw_estimate
-
-        estimate = self._env.get_wrapper_attr("perception").estimate
-        drawn = draw_estimate(self._env.get_wrapper_attr("last_rgb"), estimate)
-        self._to.log("camera", self._rr.Image(drawn).compress(jpeg_quality=80))
+        drawn = camera_view(self._env)
+        if drawn is not None:
+            self._to.log("camera", self._rr.Image(drawn).compress(jpeg_quality=80))
 
 
 def nosings(stairs: StairSpec) -> list[np.ndarray]:

@@ -1,7 +1,7 @@
 """Training with Stable-Baselines3: PPO and SAC, checkpointed and resumable.
 
 A run's folder holds `config.json` (what was asked), `checkpoints/` (see `policies.train.checkpoints`), `curve.csv` (one
-row an interval), `tensorboard/` and `wandb/` when asked for, and at the end `final/` (model, normalisation, card).
+row an interval), `tensorboard/`, `wandb/` and `flights/` when asked for, and at the end `final/` (model, normalisation, card).
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ CONFIG_FILE = "config.json"
 CARD_FILE = "card.json"
 FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"
+FLIGHT_FOLDER = "flights"
 NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback")  # keys of the YAML file that others read
 HIDING_POLICIES = ("StairActorCriticPolicy", "StairSacPolicy", "StairTd3Policy", "StairTqcPolicy")
 DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
@@ -60,6 +61,7 @@ class TrainingConfig:
         wandb: project of Weights & Biases that gets what TensorBoard gets; None for none. `WANDB_MODE=offline` keeps it
             on this machine.
         torch_threads: threads of the network's updates.
+        rerun: with each checkpoint fly the policy, and write a recording for the Rerun viewer.
 
     Raises:
         ValueError: a value is out of range.
@@ -78,6 +80,7 @@ class TrainingConfig:
     tensorboard: bool = False
     wandb: str | None = None
     torch_threads: int = 1
+    rerun: bool = False
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
@@ -131,6 +134,7 @@ def train(
     folder = Path(folder)
     if (folder / CONFIG_FILE).exists() and not resume:
         raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
+    flights = _flights(config, folder)
     torch.set_num_threads(config.torch_threads)
     hyperparams = config.resolved_hyperparams()
     total = int(hyperparams["n_timesteps"])
@@ -149,13 +153,22 @@ def train(
         opened.enter_context(wandb_run(config.wandb, folder, config.to_dict()))  # before TensorBoard's writer
         _set_logging(model, logs)
         curve = CurveCallback(folder / CURVE_FILE)
-        callbacks = [CheckpointCallback(folder / CHECKPOINT_FOLDER, config.checkpoint_every), curve]
+        callbacks = [CheckpointCallback(folder / CHECKPOINT_FOLDER, config.checkpoint_every), curve, *flights]
         if show_progress:
             callbacks.append(ProgressCallback(total))
         remaining = total - model.num_timesteps
         if remaining > 0:
             model.learn(remaining, callback=callbacks, reset_num_timesteps=not saved, log_interval=1)
         return _finish(config, model, folder, curve.summary())
+
+
+def _flights(config: TrainingConfig, folder: Path) -> list[Any]:
+    """The callback that writes flights, when they were asked for."""
+    if not config.rerun:
+        return []
+    from policies.train.flight_callback import RerunCallback
+
+    return [RerunCallback(folder / FLIGHT_FOLDER, config)]
 
 
 def load_config(folder: Path | str) -> TrainingConfig:

@@ -44,6 +44,9 @@ DEMO_LIGHTINGS = (*SCENE_LIGHTINGS, "both")
 BLOCK_SOURCES = ("oracle", "noisy", "blind", "shuffled", "external")
 EVALUATION_SOURCES = ("oracle", "stairnet", "blind", "shuffled", "gait", "noisy")
 
+# Who walks in a page that is watched: a trained policy, the gait alone, or chance.
+WATCHED_AGENTS = ("policy", "zero", "random")
+
 # The camera.
 DEPTH_SOURCES = ("model", "stereo")  # exact depth with modelled errors, or matched from a rendered infrared pair
 CAMERA_MODES = ("640x480", "848x480", "1280x720")  # of the D435i's colour imager

@@ -8,7 +8,9 @@ import numpy as np
 
 from stair_env.common.constants import STANDARD_GRAVITY_M_S2
 from stair_env.common.pickling import PicklesByArguments
+from stair_env.observation import pack_proprio
 from stair_env.onboard.kinematics import LegKinematics
+from stair_env.onboard.planner import GaitPlanner
 from stair_env.physics.body_kernels import displacement, level_turn
 from stair_env.robots import RobotSpec
 
@@ -184,7 +186,9 @@ class LegOdometry:
 
 
 class Proprioception:
-    """Attitude and odometry of one robot, one control step at a time.
+    """Attitude, odometry and the proprioceptive block of one robot, one control step at a time.
+
+    The environment and the robot's side (`perception.deploy`) both sense with it.
 
     Args:
         robot: supplies kinematics and foot radius.
@@ -200,6 +204,7 @@ class Proprioception:
     def __init__(self, robot: RobotSpec, imu_rate_hz: float) -> None:
         self._attitude = AttitudeFilter(imu_rate_hz)
         self._odometry = LegOdometry(robot)
+        self._kinematics = LegKinematics(robot)
 
     def reset(self, force_at_rest: np.ndarray) -> None:
         """Start from standing.
@@ -217,6 +222,16 @@ class Proprioception:
     def base_to_level(self) -> np.ndarray:
         """(3, 3) rotation that takes roll and pitch out."""
         return self._level
+
+    def foot_heights(self, joint_positions: np.ndarray) -> np.ndarray:
+        """(4,) heights of the feet relative to the right front one, metres.
+
+        Args:
+            joint_positions: (12,) canonical, radians.
+        """
+        feet = self._kinematics.foot_positions(joint_positions) @ self._level.T
+        heights: np.ndarray = feet[:, 2] - feet[0, 2]
+        return heights
 
     def update(self, imu: np.ndarray, joint_positions: np.ndarray, touching: np.ndarray, dt: float) -> None:
         """Take a control step's readings in.
@@ -236,3 +251,38 @@ class Proprioception:
         self._level = base_to_level(self.up)
         force = np.add.reduce(imu[:, :3], axis=0) / len(imu)  # the mean, in a third of the time
         self.velocity = self._odometry.update(joint_positions, touching, force, self._level, self.yaw_rate * dt, dt)
+
+    def block(
+        self,
+        joint_positions: np.ndarray,
+        joint_velocities: np.ndarray,
+        joint_targets: np.ndarray,
+        touching: np.ndarray,
+        gait: GaitPlanner,
+        last_action: np.ndarray,
+    ) -> np.ndarray:
+        """The proprioceptive block (`stair_env.observation.PROPRIO_FIELDS`), float32.
+
+        Args:
+            joint_positions, joint_velocities: (12,) canonical, radians and rad/s.
+            joint_targets: (12,) what the motors were asked for last.
+            touching: (4,) bool, which feet touch the ground.
+            gait: whose phase and footholds count.
+            last_action: that was taken last.
+        """
+        phase = 2 * np.pi * gait.phase
+        return pack_proprio(
+            {
+                "gravity": -self.up,
+                "angular_velocity": self.angular_velocity,
+                "velocity": self.velocity,
+                "yaw_rate": [self.yaw_rate],
+                "joint_position": joint_positions,
+                "joint_velocity": joint_velocities,
+                "joint_error": joint_targets - joint_positions,
+                "contact": touching,
+                "foothold_height": gait.foothold_heights,
+                "phase": [math.sin(phase), math.cos(phase)],
+                "last_action": last_action,
+            }
+        )

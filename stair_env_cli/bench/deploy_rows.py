@@ -23,13 +23,13 @@ def latencies(rounds: int, backend: str) -> dict[str, dict[str, float]]:
     The robot walks without a simulator: its joints are where they were asked to be, and its camera keeps seeing the
     same stairs, so that every frame has the work of a good detection.
     """
-    from perception.deploy.climber import CameraReading, StairClimber
+    from perception.deploy.climber import StairClimber
     from perception.deploy.onnx_actor import OnnxActor
+    from perception.deploy.readings import BodyReading, CameraReading
     from perception.estimator import StairEstimator
     from policies.export_actor import export_actor
     from policies.pretrained import load
     from stair_env.common.constants import CONTROL_DT
-    from stair_env.onboard.body_sense import BodyReading
     from stair_env.onboard.kinematics import LegKinematics
     from stair_env.robots import get_robot
     from stair_env_cli.bench.perception_rows import sample_frame

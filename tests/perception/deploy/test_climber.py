@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import stair_env  # noqa: F401
-from perception.deploy.climber import PARTS, CameraReading, StairClimber
+from perception.deploy.climber import PARTS, StairClimber
 from perception.deploy.onnx_actor import ActorError, OnnxActor
+from perception.deploy.readings import BodyReading, CameraReading
 from policies.export_actor import export_actor
 from policies.pretrained import load
-from stair_env.onboard.body_sense import BodyReading
 from stair_env.physics.simulation import Simulation
 from stair_env.sensors.imu import Imu
 
@@ -108,10 +108,10 @@ class Forbid:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Forbid())
 import numpy as np
-from perception.deploy.climber import CameraReading, StairClimber
+from perception.deploy.climber import StairClimber
 from perception.deploy.onnx_actor import OnnxActor
+from perception.deploy.readings import BodyReading, CameraReading
 from stair_env.intrinsics import D435I_COLOR_MODES
-from stair_env.onboard.body_sense import BodyReading
 camera = D435I_COLOR_MODES["640x480"]
 climber = StairClimber("aliengo", camera, OnnxActor({str(exported)!r}))
 joints = np.tile([0.0, 0.8, -1.5], 4)

@@ -2,8 +2,16 @@ import numpy as np
 import pytest
 
 from stair_env.env import StairClimbEnv
+from stair_env.observation import PROPRIO_SLICES, proprio_space
+from stair_env.onboard.gait import ACTION_SIZE, Gait
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.onboard.proprioception import MAX_CORRECTION_M_S, AttitudeFilter, LegOdometry, base_to_level
+from stair_env.onboard.proprioception import (
+    MAX_CORRECTION_M_S,
+    AttitudeFilter,
+    LegOdometry,
+    Proprioception,
+    base_to_level,
+)
 from stair_env.robots import get_robot
 
 REST = np.array([0.0, 0.0, 9.80665])  # what an accelerometer reads that nothing moves
@@ -85,3 +93,30 @@ def test_filter_starts_where_the_accelerometer_points():
     assert base_to_level(attitude.up) @ up == pytest.approx([0, 0, 1], abs=1e-6)
     with pytest.raises(ValueError, match="direction"):
         attitude.reset(np.zeros(3))
+
+
+def test_a_standing_robot_knows_that_it_stands_and_its_block_lies_in_the_space():
+    robot, pitch = get_robot("aliengo"), 0.2
+    joints = LegKinematics(robot).joint_angles(robot.nominal_feet)
+    rest = 9.81 * np.array([-np.sin(pitch), 0.0, np.cos(pitch)])
+    imu = np.tile([*rest, 0.0, 0.0, 0.0], (5, 1))
+    sense, gait = Proprioception(robot, 240.0), Gait(robot)
+    sense.reset(rest)
+    gait.reset(sense.foot_heights(joints))
+    for _ in range(50):
+        sense.update(imu, joints, STANDING, DT)
+    assert np.abs(sense.velocity).max() < 0.02
+    block = sense.block(joints, np.zeros(12), joints, STANDING, gait, np.zeros(ACTION_SIZE))
+    assert block.dtype == np.float32 and proprio_space().contains(block)
+    np.testing.assert_allclose(block[PROPRIO_SLICES["gravity"]], -rest / 9.81, atol=2e-3)
+    assert not block[PROPRIO_SLICES["joint_error"]].any() and block[PROPRIO_SLICES["contact"]].all()
+
+
+def test_feet_below_a_pitched_trunk_are_level_again():
+    robot = get_robot("aliengo")
+    joints, sense = LegKinematics(robot).joint_angles(robot.nominal_feet), Proprioception(robot, 240.0)
+    sense.reset(REST)
+    assert np.abs(sense.foot_heights(joints)).max() < 1e-6
+    sense.reset(9.81 * np.array([np.sin(0.2), 0.0, np.cos(0.2)]))  # nose up
+    heights = sense.foot_heights(joints)
+    assert abs(heights[1]) < 1e-6 and heights[2] < -0.05  # the rear feet stand lower
