@@ -43,11 +43,17 @@ test-slow: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -m slow -q tests
 
 # Environments of their own: these libraries, and these versions, are not those of the project. Of our constraints the
-# clients leave out filelock, of which Tianshou's virtualenv wants an older one.
+# clients leave out filelock, of which Tianshou's virtualenv wants an older one. RLlib asks for one version of Gymnasium,
+# so it has an environment for itself; what stands in a .no-deps file asks for versions older than ours, and runs with ours.
+SHARED_CLIENTS := $(filter-out examples/clients/rllib_%,$(wildcard examples/clients/*.txt))
 test-clients:
 	$(PYTHON) -m venv .venv-clients
 	grep -v '^filelock==' constraints.txt > .venv-clients/constraints.txt
-	.venv-clients/bin/python -m pip install --quiet -c .venv-clients/constraints.txt -e '.[all]' $(foreach file,$(wildcard examples/clients/*.txt),-r $(file))
+	.venv-clients/bin/python -m pip install --quiet -c .venv-clients/constraints.txt -e '.[all]' $(SHARED_CLIENTS:%=-r %)
+	.venv-clients/bin/python -m pip install --quiet --no-deps $(patsubst %,-r %,$(wildcard examples/clients/*.no-deps))
+	$(PYTHON) -m venv .venv-clients-rllib
+	grep '^torch==' constraints.txt > .venv-clients-rllib/constraints.txt
+	.venv-clients-rllib/bin/python -m pip install --quiet -c .venv-clients-rllib/constraints.txt -e . -r examples/clients/rllib_ppo.txt
 	$(ONE_THREAD) .venv-clients/bin/python -W ignore examples/clients/run_all.py results/clients.md
 
 LOWEST_TESTS := tests/stair_env/test_env.py tests/stair_env/test_vector.py tests/policies/test_pretrained.py tests/perception/test_wrapper.py
@@ -80,4 +86,4 @@ bench: $(STAMP)
 	$(BIN)/stair-env bench
 
 clean:
-	rm -rf $(VENV) .venv-clients .venv-lowest runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-clients .venv-clients-rllib .venv-lowest runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

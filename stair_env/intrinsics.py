@@ -7,19 +7,18 @@ top left corner of the image is (0, 0), so that the centre of the first pixel is
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from stair_env.common.validation import SpecError, check_choice, check_range
+from stair_env.common.validation import JsonSpec, SpecError, check_range
 
 MAX_IMAGE_SIDE_PX = 8192
 MAX_FIELD_OF_VIEW_RAD = math.radians(170.0)
 
 
 @dataclass(frozen=True)
-class Intrinsics:
+class Intrinsics(JsonSpec):
     """Pinhole intrinsics, validated, JSON-able through `to_dict`.
 
     Args:
@@ -30,6 +29,8 @@ class Intrinsics:
     Raises:
         SpecError: a field is out of range (a ValueError).
     """
+
+    ARGUMENT = "intrinsics"
 
     width: int
     height: int
@@ -129,27 +130,6 @@ class Intrinsics:
         left, top, side = letterbox_padding(self.width, self.height)
         s = size / side
         return Intrinsics(size, size, self.fx * s, self.fy * s, (self.cx + left) * s, (self.cy + top) * s)
-
-    def to_dict(self) -> dict[str, float]:
-        """The fields as a JSON-able dict; `from_dict` rebuilds an equal object."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Any) -> Intrinsics:
-        """Rebuild from `to_dict` output.
-
-        Raises:
-            SpecError: values is no dict, lacks a field or holds an unknown one.
-        """
-        names = ("width", "height", "fx", "fy", "cx", "cy")
-        if not isinstance(values, dict):
-            raise SpecError(f"intrinsics are a JSON object, got {type(values).__name__}")
-        for name in values:
-            check_choice("field", name, names)
-        missing = [name for name in names if name not in values]
-        if missing:
-            raise SpecError(f"intrinsics lack {', '.join(missing)}; needed are {', '.join(names)}")
-        return cls(**values)
 
 
 def letterbox_padding(width: int, height: int) -> tuple[int, int, int]:

@@ -17,23 +17,28 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-KILLS = 20
+KILLS = int(os.environ.get("STAIR_ENV_KILLS", "5"))  # of each command; 20 in all
 LONGEST_RUN_S = 600.0
 # Arguments of each command, and those with which it goes on after a kill.
 DATASET = "--output set --train 40 --val 4 --test 4"
 EVALUATE = "--source gait,oracle --stairs random --direction up --episodes 6 --workers 1"
 TRAIN = "--output run --timesteps 1024 --num-envs 1 --checkpoint-every 256 --vec dummy"
+PERCEPTION_TRAIN = "--data ../frames --output run --epochs 3 --frames-per-epoch 8 --small-share 1 --threads 1"
+FRAMES = "--output frames --train 8 --val 2 --test 2".split()  # what perception-train reads
 SMALL = ["--set", '{"n_steps": 128, "batch_size": 64, "n_epochs": 1}']
 COMMANDS: dict[str, tuple[list[str], list[str]]] = {
     "dataset": (DATASET.split(), []),
     "evaluate": (EVALUATE.split(), ["--resume"]),
+    "perception-train": (PERCEPTION_TRAIN.split(), ["--resume"]),
     "train": ([*TRAIN.split(), *SMALL], ["--resume"]),
 }
 
 
-def start(name: str, folder: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-W", "ignore", "-m", "stair_env_cli.main", name, "--json", "result.json"]
-    command += [*COMMANDS[name][0], *more]
+KEPT = {"dataset": ("*.jpg", "*.png", "*.txt"), "perception-train": ("*.safetensors",)}  # the same to the bit
+
+
+def start(name: str, folder: Path, *arguments: str) -> subprocess.Popen:
+    command = [sys.executable, "-W", "ignore", "-m", "stair_env_cli.main", name, "--json", "result.json", *arguments]
     root = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
@@ -41,9 +46,9 @@ def start(name: str, folder: Path, *more: str) -> subprocess.Popen:
     )
 
 
-def finish(name: str, folder: Path, *more: str) -> float:
+def finish(name: str, folder: Path, *arguments: str) -> float:
     begun = time.monotonic()
-    process = start(name, folder, *more)
+    process = start(name, folder, *arguments)
     _, errors = process.communicate(timeout=LONGEST_RUN_S)
     assert process.returncode == 0, errors.decode()[-2000:]
     return time.monotonic() - begun
@@ -51,8 +56,8 @@ def finish(name: str, folder: Path, *more: str) -> float:
 
 def outcome(name: str, folder: Path) -> Any:
     result = json.loads((folder / "result.json").read_text())
-    if name == "dataset":
-        files = sorted(path for path in (folder / "set").rglob("*") if path.is_file() and path.suffix != ".json")
+    if name in ("dataset", "perception-train"):
+        files = sorted(file for kind in KEPT[name] for file in folder.rglob(kind))
         return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     return result["overall"] if name == "evaluate" else result["timesteps"]
 
@@ -62,10 +67,12 @@ def test_kill_9(name: str, tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     whole.mkdir()
     killed.mkdir()
-    seconds = finish(name, whole)
-    go_on = COMMANDS[name][1]
+    if name == "perception-train":
+        finish("dataset", tmp_path, *FRAMES)
+    arguments, go_on = COMMANDS[name]
+    seconds = finish(name, whole, *arguments)
     for moment in np.random.default_rng(0).uniform(0.05, 1.0, KILLS):
-        process = start(name, killed, *go_on)
+        process = start(name, killed, *arguments, *go_on)
         try:
             _, errors = process.communicate(timeout=float(moment) * seconds)
             assert process.returncode == 0, errors.decode()[-2000:]  # it was done before
@@ -74,5 +81,5 @@ def test_kill_9(name: str, tmp_path: Path) -> None:
             process.communicate()
         for file in killed.rglob("*.json"):  # whole or absent
             json.loads(file.read_text())
-    finish(name, killed, *go_on)
+    finish(name, killed, *arguments, *go_on)
     assert outcome(name, killed) == outcome(name, whole)

@@ -15,7 +15,7 @@ import numpy as np
 
 from perception.inference.preprocess import NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.inference.weights import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
-from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, IMAGE_SIZE
+from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
 from stair_env.common.importing.extras import naming_extras
 from stair_env.common.validation import check_choice
 
@@ -66,9 +66,7 @@ class OnnxBackend:
             raise WeightsError(f"{file}: no such file")
         self._threads = _check_threads(threads) or _available_cores()
         self._session = _open_session(file, _check_threads(threads) or 0)
-        names = [entry.name for entry in self._session.get_inputs()]
-        if names != ["rgb", "depth"]:
-            raise WeightsError(f"{file}: has inputs {names}, a StairNetV2 has rgb and depth")
+        _check_network(file, self._session)
         # Several frames: each on one thread of its own, which need not wait for the others at every layer.
         self._alone = _open_session(file, 1) if self._threads > 1 else self._session
 
@@ -101,6 +99,21 @@ def _open_session(file: Path, threads: int) -> Any:
         return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's errors share no base class
         raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
+
+
+def _check_network(file: Path, session: Any) -> None:
+    """Refuse a model that is no StairNetV2, which would otherwise fail at the first frame.
+
+    Raises:
+        WeightsError: naming what the model takes or gives instead.
+    """
+    for what, entries, wanted in (
+        ("inputs", session.get_inputs(), {"rgb": (3, IMAGE_SIZE, IMAGE_SIZE), "depth": (1, IMAGE_SIZE, IMAGE_SIZE)}),
+        ("outputs", session.get_outputs(), {"cls": (1, GRID_ROWS, GRID_COLUMNS), "loc": (8, GRID_ROWS, GRID_COLUMNS)}),
+    ):
+        found = {entry.name: tuple(entry.shape[1:]) for entry in entries if entry.type == "tensor(float)"}
+        if found != wanted:
+            raise WeightsError(f"{file}: has {what} {found}, a StairNetV2 has {wanted}")
 
 
 def _run_frame(session: Any, rgb: np.ndarray, depth_m: np.ndarray) -> list[np.ndarray]:

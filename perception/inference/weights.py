@@ -92,11 +92,21 @@ def load_weights(path: str | Path, width: float, fusion_stage: int = 2) -> Stair
 
     if not Path(path).is_file():
         raise WeightsError(f"{path}: no such file")
+    try:
+        state = load_file(str(path))
+    except (
+        SafetensorError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        raise WeightsError(f"{path}: not a safetensors file: {error}") from error
     network = StairNetV2(width, fusion_stage)
     try:
-        network.load_state_dict(load_file(str(path)))
-    except SafetensorError as error:
-        raise WeightsError(f"{path}: not a safetensors file: {error}") from error
+        network.load_state_dict(state)
     except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
         raise WeightsError(

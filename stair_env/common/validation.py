@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,19 @@ def check_range(name: str, value: float, low: float, high: float) -> None:
     """Raise SpecError unless low <= value <= high (NaN never passes)."""
     if not isinstance(value, (int, float, np.integer, np.floating)) or not low <= value <= high:
         raise SpecError(f"{name}={value!r} must be a number in [{low:g}, {high:g}]")
+
+
+def check_limits(config: object, limits: Mapping[str, tuple[float, float]]) -> None:
+    """Raise SpecError unless each field that limits names is a number between its two."""
+    for name, (low, high) in limits.items():
+        check_range(name, getattr(config, name), low, high)
+
+
+def check_flags(config: object, *names: str) -> None:
+    """Raise SpecError unless each of these fields is True or False."""
+    for name in names:
+        if not isinstance(getattr(config, name), bool):
+            raise SpecError(f"{name}={getattr(config, name)!r} must be True or False")
 
 
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
@@ -112,11 +125,18 @@ def build(cls: type, values: Mapping[str, Any], what: str = "") -> Any:
 
 
 class JsonSpec:
-    """What every specification of stairs and scenes can do: turn into JSON and back, unchanged."""
+    """What every specification of stairs, scenes and sensors can do: turn into JSON and back, unchanged."""
+
+    ARGUMENT: ClassVar[str] = ""  # that it is passed as, for messages; the class's name where it is left empty
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields, JSON-able; `from_dict` rebuilds an equal spec."""
+        fields: dict[str, Any] = dataclasses.asdict(self)  # type: ignore[call-overload]
+        return fields
 
     def to_json(self) -> str:
         """One JSON object; `from_json` rebuilds an equal spec."""
-        return json.dumps(dataclasses.asdict(self))  # type: ignore[call-overload]
+        return json.dumps(self.to_dict())
 
     @classmethod
     def from_json(cls, text: str) -> Self:
@@ -133,12 +153,12 @@ class JsonSpec:
 
     @classmethod
     def from_dict(cls, values: Any) -> Self:
-        """Rebuild a spec from `dataclasses.asdict` output.
+        """Build from a JSON object; fields that have defaults may be left out.
 
         Raises:
-            SpecError: values is no dict or holds an unknown field.
+            SpecError: values is no dict, holds an unknown field or a wrong value.
         """
-        built: Self = from_fields(cls, values)
+        built: Self = from_fields(cls, values, cls.ARGUMENT)
         return built
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stair_env.common.constants import GRAVITY_M_S2, STANDARD_GRAVITY_M_S2
-from stair_env.common.validation import SpecError, check_choice, check_range, from_fields
+from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_limits, check_range
 from stair_env.physics.body_kernels import digitise
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _BLOCK = 1024  # samples for which noise is drawn at a time
 
 
 @dataclass(frozen=True)
-class ImuConfig:
+class ImuConfig(JsonSpec):
     """What is wrong with the inertial sensor; the defaults are a BMI055 after the user's calibration.
 
     Args:
@@ -47,6 +47,8 @@ class ImuConfig:
         SpecError: a field is out of range (a ValueError).
     """
 
+    ARGUMENT = "imu"
+
     accel_noise_density: float = 1.47e-3
     gyro_noise_density: float = 2.44e-4
     noise_scale: float = 1.0
@@ -60,8 +62,7 @@ class ImuConfig:
     gyro_quantum: float = 5.3e-4
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _LIMITS.items():
-            check_range(name, getattr(self, name), low, high)
+        check_limits(self, _LIMITS)
 
     @classmethod
     def ideal(cls) -> ImuConfig:
@@ -83,12 +84,7 @@ class ImuConfig:
             return cls.ideal() if values == "ideal" else cls()
         if not isinstance(values, dict):
             raise SpecError(f"imu={values!r} must be a preset ({', '.join(IMU_PRESETS)}) or a dict of ImuConfig fields")
-        built: ImuConfig = from_fields(cls, values, "imu")
-        return built
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as a JSON-able dict."""
-        return dataclasses.asdict(self)
+        return super().from_dict(values)
 
 
 _LIMITS: dict[str, tuple[float, float]] = {

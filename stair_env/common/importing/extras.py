@@ -1,48 +1,48 @@
-"""Which extra of the distribution brings which library, and errors that say so."""
+"""Libraries that an installation from bare.txt lacks, and errors that say how to get them."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
 
-EXTRA_OF = {
-    "onnxruntime": "perception",
+# Distribution by the name that is imported.
+DISTRIBUTIONS = {
+    "onnxruntime": "onnxruntime",
     "openvino": "openvino",
-    "stable_baselines3": "policies",
-    "torch": "policies",
-    "yaml": "policies",
-    "imageio": "policies",
-    "safetensors": "train",
-    "lightning": "train",
-    "tensorboard": "train",
-    "onnx": "train",
-    "onnxscript": "train",
-    "matplotlib": "train",
-    "psutil": "train",
-    "minari": "minari",
+    "stable_baselines3": "stable-baselines3",
+    "torch": "torch",
+    "yaml": "pyyaml",
+    "imageio": "imageio",
+    "safetensors": "safetensors",
+    "lightning": "lightning",
+    "tensorboard": "tensorboard",
+    "onnx": "onnx",
+    "onnxscript": "onnxscript",
+    "matplotlib": "matplotlib",
+    "psutil": "psutil",
+    "minari": "'minari[hdf5,create]'",
     "wandb": "wandb",
 }
 
 
 class MissingExtraError(ModuleNotFoundError):
-    """A library is not installed; the message names the extra that brings it."""
+    """A library is not installed; the message says what to install."""
 
 
 @contextlib.contextmanager
 def naming_extras() -> Iterator[None]:
-    """Name the extra when a library is missing inside the block, or inside the function that this decorates.
+    """Say what to install when a library is missing inside the block, or inside the function that this decorates.
 
     Raises:
-        MissingExtraError: in place of a ModuleNotFoundError for a library of EXTRA_OF.
+        MissingExtraError: in place of a ModuleNotFoundError for a library of DISTRIBUTIONS.
     """
     try:
         yield
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]
-        if library not in EXTRA_OF or isinstance(error, MissingExtraError):
+        if library not in DISTRIBUTIONS or isinstance(error, MissingExtraError):
             raise
-        extra = EXTRA_OF[library]
         raise MissingExtraError(
-            f"{library} is not installed: pip install 'stair-env[{extra}]', or 'stair-env[all]' for everything",
+            f"{library} is not installed: pip install {DISTRIBUTIONS[library]}, or 'stair-env[all]' for everything",
             name=error.name,
         ) from error

@@ -7,15 +7,13 @@ source.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stair_env.common.validation import check_range, from_fields
+from stair_env.common.validation import JsonSpec, SpecError, check_flags, check_limits
 from stair_env.sensors.camera.noise_tiles import TILE_SIDE_PX, gaussian_tile
 
 MAX_SMEAR_PX = 40.0  # longer trails are cut; at 15 frames a second they mean a fall
@@ -25,7 +23,7 @@ _STANDING = np.zeros((1, 2), np.int64)
 
 
 @dataclass(frozen=True)
-class ColourErrorConfig:
+class ColourErrorConfig(JsonSpec):
     """What is wrong with the colour image; the defaults are a D435i on a walking robot.
 
     Args:
@@ -47,6 +45,8 @@ class ColourErrorConfig:
         SpecError: a field is out of range (a ValueError).
     """
 
+    ARGUMENT = "colour_error"
+
     shot_variance: float = 1.0 / 24.0
     read_noise: float = 0.8
     full_gain_level: float = 12.0
@@ -61,13 +61,11 @@ class ColourErrorConfig:
     motion_blur: bool = True
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _LIMITS.items():
-            check_range(name, getattr(self, name), low, high)
-        if not isinstance(self.motion_blur, bool):
-            raise ValueError(f"motion_blur={self.motion_blur!r} must be True or False")
+        check_limits(self, _LIMITS)
+        check_flags(self, "motion_blur")
         for low_name, high_name in (("full_gain_level", "unit_gain_level"), ("exposure_s", "max_exposure_s")):
             if getattr(self, low_name) > getattr(self, high_name):
-                raise ValueError(f"{low_name}={getattr(self, low_name)!r} must not exceed {high_name}")
+                raise SpecError(f"{low_name}={getattr(self, low_name)!r} must not exceed {high_name}")
 
     @classmethod
     def ideal(cls) -> ColourErrorConfig:
@@ -81,20 +79,6 @@ class ColourErrorConfig:
             defocus_px=0.0,
             motion_blur=False,
         )
-
-    @classmethod
-    def from_dict(cls, values: Any) -> ColourErrorConfig:
-        """Build from a JSON object that names the fields to change from the D435i's.
-
-        Raises:
-            ValueError: values is no dict, holds an unknown field or a wrong value.
-        """
-        built: ColourErrorConfig = from_fields(cls, values, "colour_error")
-        return built
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as a JSON-able dict."""
-        return dataclasses.asdict(self)
 
 
 _LIMITS: dict[str, tuple[float, float]] = {

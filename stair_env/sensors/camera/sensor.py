@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stair_env.common.constants import CAMERA_MODES, DEPTH_SOURCES
-from stair_env.common.validation import SpecError, check_choice, check_range
+from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.scene.shapes import Shape
 from stair_env.sensors.camera.colour_error import ColourErrorConfig, ColourErrorModel
@@ -29,7 +29,7 @@ _STANDING_PX = 0.5  # image motion between frames below which matching windows s
 
 
 @dataclass(frozen=True)
-class CameraConfig:
+class CameraConfig(JsonSpec):
     """A D435i and how it sits on the robot.
 
     Args:
@@ -162,10 +162,6 @@ class CameraConfig:
         if "colour_error" in fields:
             fields["colour_error"] = _error_config("colour_error", fields["colour_error"], ColourErrorConfig)
         return dataclasses.replace(base, **fields)
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as a JSON-able dict; `from_dict` rebuilds an equal config."""
-        return dataclasses.asdict(self)
 
 
 def _error_config(name: str, value: Any, kind: Any) -> Any:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from stair_env.common.validation import SpecError, check_range, from_fields
+from stair_env.common.validation import JsonSpec, SpecError, check_flags, check_limits
 from stair_env.sensors.camera.depth_model.depth_noise import check_window
 
 
 @dataclass(frozen=True)
-class DepthErrorConfig:
+class DepthErrorConfig(JsonSpec):
     """What is wrong with the depth; the defaults are a D435i at 848x480, aligned to colour.
 
     Args:
@@ -52,6 +51,8 @@ class DepthErrorConfig:
         SpecError: a field is out of range (a ValueError).
     """
 
+    ARGUMENT = "depth_error"
+
     focal_px: float = 447.0
     baseline_m: float = 0.050
     disparity_noise_px: float = 0.08
@@ -83,11 +84,8 @@ class DepthErrorConfig:
     max_range_m: float = 10.0
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _LIMITS.items():
-            check_range(name, getattr(self, name), low, high)
-        for name in ("occlusion_shadow", "colour_parallax", "filters"):
-            if not isinstance(getattr(self, name), bool):
-                raise SpecError(f"{name}={getattr(self, name)!r} must be True or False")
+        check_limits(self, _LIMITS)
+        check_flags(self, "occlusion_shadow", "colour_parallax", "filters")
         if self.min_range_m >= self.max_range_m:
             raise SpecError(f"min_range_m={self.min_range_m!r} must be below max_range_m={self.max_range_m!r}")
         object.__setattr__(self, "crease_window_px", check_window("crease_window_px", self.crease_window_px))
@@ -97,20 +95,6 @@ class DepthErrorConfig:
         """Nothing is wrong: depth passes through unchanged."""
         off: dict[str, Any] = dict.fromkeys(_ERROR_FIELDS, 0.0)
         return cls(occlusion_shadow=False, colour_parallax=False, crease_window_px=(1.0, 1.0), max_range_m=1e6, **off)
-
-    @classmethod
-    def from_dict(cls, values: Any) -> DepthErrorConfig:
-        """Build from a JSON object that names the fields to change from the D435i's.
-
-        Raises:
-            SpecError: values is no dict, holds an unknown field or a wrong value.
-        """
-        built: DepthErrorConfig = from_fields(cls, values, "depth_error")
-        return built
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as a JSON-able dict."""
-        return dataclasses.asdict(self)
 
 
 _ERROR_FIELDS = (

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stair_env.common.validation import SpecError, check_choice, check_range, from_fields
+from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_limits, check_range
 from stair_env.intrinsics import D435I_DEPTH_MODES, Intrinsics
 
 MATCHERS: tuple[str, ...] = ("sgbm", "bm")
@@ -17,7 +15,7 @@ HOLE_FILLINGS: tuple[str, ...] = ("none", "left", "far", "near")  # librealsense
 
 
 @dataclass(frozen=True)
-class StereoConfig:
+class StereoConfig(JsonSpec):
     """An active infrared stereo camera; the defaults are a D435i at 848x480 with the SDK's filters off.
 
     Args:
@@ -66,6 +64,8 @@ class StereoConfig:
         SpecError: a field is out of range (a ValueError).
     """
 
+    ARGUMENT = "stereo"
+
     mode: str = "848x480"
     baseline_m: float = 0.050
     projector_power: float = 1.0
@@ -106,8 +106,7 @@ class StereoConfig:
         check_choice("stereo mode", self.mode, tuple(D435I_DEPTH_MODES))
         check_choice("matcher", self.matcher, MATCHERS)
         check_choice("hole_filling", self.hole_filling, HOLE_FILLINGS)
-        for name, (low, high) in _LIMITS.items():
-            check_range(name, getattr(self, name), low, high)
+        check_limits(self, _LIMITS)
         for name in ("dots", "max_disparity_px", "block_px", "uniqueness", "speckle_px", "speckle_range_px",
                      "left_right_px", "decimation", "spatial_passes", "persistency"):  # fmt: skip
             value = getattr(self, name)
@@ -179,20 +178,6 @@ class StereoConfig:
             spatial_passes=int(rng.integers(1, 4)),
             hole_filling=str(rng.choice(list(HOLE_FILLINGS), p=[0.82, 0.06, 0.06, 0.06])),
         )
-
-    @classmethod
-    def from_dict(cls, values: Any) -> StereoConfig:
-        """Build from a JSON object that names the fields to change from the D435i's.
-
-        Raises:
-            SpecError: values is no dict, holds an unknown field or a wrong value.
-        """
-        built: StereoConfig = from_fields(cls, values, "stereo")
-        return built
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as a JSON-able dict."""
-        return dataclasses.asdict(self)
 
 
 _LIMITS: dict[str, tuple[float, float]] = {
