@@ -93,10 +93,10 @@ def _normed(norm: nn.Module, weight: Tensor) -> tuple[Tensor, Tensor]:
 def _conv_norm(conv: nn.Conv2d | GroupedConv3x3, norm: nn.Module, x: Tensor) -> Tensor:
     """A convolution and its batch norm; as one convolution where `use_merged_norms` says so."""
     if norm.training or not getattr(norm, "merged", False):
-        return norm(conv(x))  # type: ignore[no-any-return]
+        return norm(conv(x))
     if isinstance(conv, nn.Conv2d):
         weight, bias = _normed(norm, conv.weight)
-        return F.conv2d(x, weight, bias, conv.stride, conv.padding, conv.dilation, conv.groups)  # type: ignore[arg-type]
+        return F.conv2d(x, weight, bias, conv.stride, conv.padding, conv.dilation, conv.groups)
     weight, bias = _normed(norm, conv.dense_weight() if conv.dense else conv.weight)
     groups = 1 if conv.dense else conv.groups
     return F.conv2d(x, weight, bias, conv.stride, conv.dilation, conv.dilation, groups)
@@ -124,7 +124,7 @@ class ConvNormAct(nn.Sequential):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, c_in, H, W) -> (B, c_out, H / stride, W / stride)."""
-        return self[2](_conv_norm(self[0], self[1], x))  # type: ignore[arg-type, no-any-return]
+        return self[2](_conv_norm(self[0], self[1], x))  # type: ignore[arg-type]
 
 
 class Focus(nn.Module):

@@ -1,7 +1,8 @@
 """Training with Stable-Baselines3: PPO and SAC, checkpointed and resumable.
 
 A run's folder holds `config.json` (what was asked), `checkpoints/` (see `policies.train.checkpoints`), `curve.csv` (one
-row an interval), `tensorboard/`, `wandb/` and `flights/` when asked for, and at the end `final/` (model, normalisation, card).
+row an interval), `tensorboard/`, `wandb/` and `flights/` when asked for, and at the end `final/` (model, normalisation,
+card).
 """
 
 from __future__ import annotations
