@@ -12,7 +12,7 @@ DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-clients test-lowest test-device docs lint bench clean
+.PHONY: help install demo test test-slow test-clients test-lowest test-device docs notebooks lint bench clean
 
 help:
 	@echo "make demo       the shipped policy climbs on what its camera sees; writes a video"
@@ -21,6 +21,7 @@ help:
 	@echo "make test-lowest   core tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-device  devices, ROS recordings, Rerun and the page: installs these extras, and runs their tests"
 	@echo "make docs       the documentation as a site in build/site, clicked through in a browser where Debian's chromium is"
+	@echo "make notebooks  runs examples/notebooks from top to bottom, and keeps what they show"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      time ratios against bare PyBullet and naive chains"
 	@echo "make install    only the virtual environment $(VENV)"
@@ -76,6 +77,11 @@ docs:
 	.venv-docs/bin/python -m pip install --quiet -c constraints.txt -e '.[docs]' pytest hypothesis
 	$(ONE_THREAD) DISABLE_MKDOCS_2_WARNING=true NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --quiet --strict
 	.venv-docs/bin/python -m pytest -q -rs -m slow tests/test_site.py
+
+notebooks:
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet -c constraints.txt -e '.[docs,rerun]' nbconvert ipykernel
+	cd examples/notebooks && $(ONE_THREAD) ../../.venv-docs/bin/python -m nbconvert --to notebook --execute --inplace *.ipynb
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
