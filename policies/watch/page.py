@@ -146,7 +146,7 @@ class WatchPage:
     def _robot(self) -> None:
         """Each link's drawn parts under a frame that moves."""
         scene, simulation = self._server.scene, self._session.simulation
-        self._links = {}
+        self._links: dict[int, Any] = {}
         for number, part in enumerate(visual_parts(simulation.client, simulation.body)):
             name = f"/robot/link_{part.link + 1}"
             if part.link not in self._links:
