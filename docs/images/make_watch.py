@@ -28,6 +28,10 @@ def main() -> None:
         tab.goto(page.address)
         tab.get_by_role("button", name="Pause").wait_for()
         watch(session, page, CONTROL_STEPS)
+        session.paused = True
+        page.show()
+        for note in tab.locator(".mantine-Notification-closeButton").all():  # that there is no graphics card
+            note.click()
         tab.wait_for_timeout(1000 * DRAWING_S)
         picture = cv2.imdecode(np.frombuffer(tab.screenshot(), np.uint8), cv2.IMREAD_COLOR)
         browser.close()

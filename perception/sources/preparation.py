@@ -11,7 +11,7 @@ import numpy as np
 from perception.estimator import check_gravity
 from perception.lens.calibration_files import read_extrinsics, read_lens
 from perception.lens.lenses import Lens, Rectifier
-from perception.sources.hints import frame_hints
+from perception.sources.hints import ASSUMED_D435I, frame_hints
 from perception.sources.imu_gravity import ImuGravity
 from perception.sources.source import ImuSamples, MissingImuError, RawFrame, Source, SourceError, UnalignedDepthError
 from stair_env.common.validation import check_choice
@@ -121,7 +121,8 @@ class Preparer:
                 f"colour {raw.rgb.shape[1]}x{raw.rgb.shape[0]}; "
                 "depth must be aligned to colour, or --depth-intrinsics and --extrinsics must say how the two stand"
             )
-        hints = (*raw.hints, *frame_hints(depth, lens.intrinsics, gravity))
+        said = (hint for hint in raw.hints if hint != ASSUMED_D435I or given.intrinsics is None)
+        hints = (*said, *frame_hints(depth, lens.intrinsics, gravity))
         return SourceFrame(
             raw.name,
             raw.time_s,

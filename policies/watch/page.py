@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import queue
 import socket
 import time
@@ -72,10 +74,12 @@ class WatchPage:
         self._drawn: dict[str, Any] = {}
         self._shown_picture: Any = None
         self._clock: list[tuple[float, float]] = []  # wall and simulated seconds of the last shows
-        self._server = viser.ViserServer(host, port, label="stair_env", verbose=False)
+        with _silence():
+            self._server = viser.ViserServer(host, port, label="stair_env", verbose=False)
         self._open = True
-        self._server.initial_camera.position = (-0.9, -2.1, 1.5)
-        self._server.initial_camera.look_at = (0.5, 0.0, 0.3)
+        self._server.initial_camera.position = (-0.6, -1.7, 1.2)
+        self._server.initial_camera.look_at = (0.45, 0.0, 0.3)
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False)  # sharing asks a foreign server
         self._controls()
         self._robot()
         self.show()
@@ -215,7 +219,7 @@ class WatchPage:
     def _figures(self) -> None:
         session = self._session
         info, stairs = session.info, session.stairs
-        state = session.outcome or ("paused" if session.paused else f"{self._pace():.1f}× real time")
+        state = session.outcome or ("paused" if session.paused else f"{self._pace():.2f}× real time")
         arrived = sum(flight["success"] for flight in session.flights)
         self._status.content = (
             f"**{session.config.robot}**, {stairs.direction}: step {info['steps_climbed']} of {stairs.num_steps}, "
@@ -239,7 +243,13 @@ class WatchPage:
         """Stop listening; safe to call twice."""
         if self._open:
             self._open = False
-            self._server.stop()
+            with _silence():
+                self._server.stop()
+
+
+def _silence() -> contextlib.AbstractContextManager[Any]:
+    """Keep viser's banner and farewell from standard output, which is the command's."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 def watch(session: WatchSession, page: WatchPage, control_steps: int | None = None) -> None:

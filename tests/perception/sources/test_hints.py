@@ -113,5 +113,10 @@ def test_intrinsics_that_nobody_gave(tmp_path: Path) -> None:
     depth = np.full((424, 512), 1500, np.uint16)
     colour, depth_path = write(tmp_path, "k.png", rgb), write(tmp_path, "k_d.png", depth)
     assert starts(read(colour, depth_path).hints) == ["intrinsics"]
-    (tmp_path / "k.json").write_text(json.dumps({"fx": 365.0, "fy": 365.0, "cx": 256.0, "cy": 212.0}))
+    lens = json.dumps({"fx": 365.0, "fy": 365.0, "cx": 256.0, "cy": 212.0})
+    (tmp_path / "option.json").write_text(lens)
+    given = Preparation(intrinsics=tmp_path / "option.json")
+    frame = next(prepared(FilePairs([(colour, depth_path)], FileOptions()), given))
+    assert frame.hints == () and frame.intrinsics.fx == 365.0
+    (tmp_path / "k.json").write_text(lens)
     assert read(colour, depth_path).hints == ()
