@@ -24,7 +24,7 @@ DATASET = "--output set --train 40 --val 4 --test 4"
 EVALUATE = "--source gait,oracle --stairs random --direction up --episodes 6 --workers 1"
 TRAIN = "--output run --timesteps 1024 --num-envs 1 --checkpoint-every 256 --vec dummy"
 PERCEPTION_TRAIN = "--data ../frames --output run --epochs 3 --frames-per-epoch 8 --small-share 1 --threads 1"
-FRAMES = "--output frames --train 8 --val 2 --test 2".split()  # what perception-train reads
+FRAMES = ["--output", "frames", "--train", "8", "--val", "2", "--test", "2"]  # what perception-train reads
 SMALL = ["--set", '{"n_steps": 128, "batch_size": 64, "n_epochs": 1}']
 COMMANDS: dict[str, tuple[list[str], list[str]]] = {
     "dataset": (DATASET.split(), []),
