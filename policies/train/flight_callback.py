@@ -55,7 +55,7 @@ class RerunCallback(BaseCallback):
 
     def _fly(self) -> None:
         self._last = self.model.num_timesteps
-        kwargs = {name: value for name, value in self._config.env_kwargs.items() if name != "curriculum"}
+        kwargs = {name: value for name, value in self._config.resolved_env_kwargs().items() if name != "curriculum"}
         asked = kwargs.get("direction", WALKING_DIRECTIONS[0])
         time_s, path = 0.0, self._folder / f"steps_{self.model.num_timesteps:09d}.rrd"
         with open_flights(path) as opened:
