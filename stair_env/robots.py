@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -243,3 +244,17 @@ def find_urdf(robot: RobotSpec) -> str:
 def mount_to_base(mount: CameraMount) -> np.ndarray:
     """(4, 4) camera_to_base of a mount: optical axes x right, y down, z forward."""
     return look_along(np.asarray(mount.position), 0.0, mount.pitch_down_rad)
+
+
+def per_joint(name: str, value: Any, low: float, high: float) -> np.ndarray:
+    """Read a number, three (hip, upper, lower) or twelve as (12,) float64.
+
+    Raises:
+        SpecError: another count, or one out of [low, high].
+    """
+    numbers = list(value) if isinstance(value, list | tuple | np.ndarray) else [value]
+    if len(numbers) not in (1, JOINTS_PER_LEG, NUM_JOINTS):
+        raise SpecError(f"{name}={value!r} must be one number, three (hip, upper, lower) or twelve")
+    for number in numbers:
+        check_range(name, number, low, high)
+    return np.tile(np.array(numbers, np.float64), NUM_JOINTS // len(numbers))

@@ -14,8 +14,7 @@ from stair_env.common.validation import SpecError, check_choice, check_range, fr
 from stair_env.observation import StairBlock
 from stair_env.onboard.gait import Gait, GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.physics.motors import per_joint
-from stair_env.robots import NUM_JOINTS, RobotSpec
+from stair_env.robots import NUM_JOINTS, RobotSpec, per_joint
 
 ACTUATIONS = ("gait", "joint")
 GAITS: dict[str, GaitConfig] = {"trot": GaitConfig()}

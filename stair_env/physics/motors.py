@@ -13,7 +13,7 @@ from stair_env.common.constants import CONTROL_DT
 from stair_env.common.validation import SpecError, check_choice, check_range, from_mapping, has_parts
 from stair_env.physics.body_kernels import pd_torques
 from stair_env.physics.simulation import BaseTrack, Simulation
-from stair_env.robots import JOINTS_PER_LEG, NUM_JOINTS, RobotSpec
+from stair_env.robots import NUM_JOINTS, RobotSpec, per_joint
 
 ACTUATORS = ("position", "pd")
 ACTUATOR_PARTS = ("rotor_inertia", "reset", "command", "torques")
@@ -104,20 +104,6 @@ class PdActuator:
                 per_joint(f"actuator.{name}", getattr(self, name), 0.0, highest)
         check_range("actuator.corner", self.corner, 0.0, 0.99)
         check_range("actuator.feed_forward", self.feed_forward, 0.0, 1.0)
-
-
-def per_joint(name: str, value: Any, low: float, high: float) -> np.ndarray:
-    """Read a number, three (hip, upper, lower) or twelve as (12,) float64.
-
-    Raises:
-        SpecError: another count, or one out of [low, high].
-    """
-    numbers = list(value) if isinstance(value, list | tuple | np.ndarray) else [value]
-    if len(numbers) not in (1, JOINTS_PER_LEG, NUM_JOINTS):
-        raise SpecError(f"{name}={value!r} must be one number, three (hip, upper, lower) or twelve")
-    for number in numbers:
-        check_range(name, number, low, high)
-    return np.tile(np.array(numbers, np.float64), NUM_JOINTS // len(numbers))
 
 
 class PdMotors:

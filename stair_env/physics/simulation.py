@@ -22,13 +22,13 @@ from stair_env.common.constants import PHYSICS_RATE_HZ as PHYSICS_RATE_HZ
 from stair_env.common.constants import SUBSTEPS as SUBSTEPS
 from stair_env.common.validation import SpecError, check_choice
 from stair_env.physics.body_kernels import READING_WIDTH, TRACK_WIDTH, trace_trunk
-from stair_env.physics.bullet_client import QuietBulletClient
-from stair_env.physics.display import display_problem
 from stair_env.physics.body_state import BaseState as BaseState
 from stair_env.physics.body_state import BaseTrack as BaseTrack
 from stair_env.physics.body_state import FootContacts as FootContacts
 from stair_env.physics.body_state import RobotReading as RobotReading
 from stair_env.physics.body_state import base_to_world as base_to_world
+from stair_env.physics.bullet_client import QuietBulletClient
+from stair_env.physics.display import display_problem
 from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
