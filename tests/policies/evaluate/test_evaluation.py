@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -179,3 +180,14 @@ def test_a_policy_brings_its_robot_and_refuses_another() -> None:
     assert EvaluationConfig(sources=("gait",)).robot == "aliengo"
     with pytest.raises(ValueError, match=r"robot='aliengo': policy 'a1' was trained on 'a1'.*aliengo, aliengo-blind"):
         dataclasses.replace(config, robot="aliengo")
+
+
+def test_a_policy_brings_the_arguments_that_it_needs_and_the_gait_does_not(tmp_path: Path) -> None:
+    card = {"env_id": CLIMB_ID, "env_kwargs": {"actuation": "joint", "observations": "proprio", "curriculum": True}}
+    (tmp_path / "model.zip").write_bytes(b"")
+    (tmp_path / "card.json").write_text(json.dumps(card))
+    config = EvaluationConfig(policy=str(tmp_path), sources=("oracle", "gait"), stairs="random")
+    arguments = {job.source: job.env_kwargs for job in plan_jobs(config, config.cells())}
+    assert arguments["oracle"]["actuation"] == "joint" and arguments["oracle"]["observations"] == "proprio"
+    assert not {"actuation", "observations", "curriculum"} & set(arguments["gait"])
+    assert "curriculum" not in arguments["oracle"]
