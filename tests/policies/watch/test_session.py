@@ -23,12 +23,11 @@ def test_what_was_measured_lies_on_the_true_stairs(session: WatchSession) -> Non
     session.restart()
     for _ in range(24):
         session.advance()
-    lines, edges = session.measured_stairs(), [edge[0, [0, 2]] for edge in session.true_edges()]
-    assert lines and session.steps == 24
-    for line in lines:
-        front = line[:2].mean(axis=0)
-        assert abs(front[1]) < 0.1  # before the middle of the robot's path
-        assert min(np.linalg.norm(front[[0, 2]] - edge) for edge in edges) < 0.06
+    points = np.concatenate(session.measured_stairs())  # of treads and risers
+    corners = np.array([edge.endpoints[0][[0, 2]] for edge in session.stairs.edges()])
+    gaps = np.linalg.norm(points[:, None, [0, 2]] - corners, axis=-1).min(axis=1)
+    assert session.steps == 24 and len(points) > 3 and gaps.max() < 0.06
+    assert abs(points[:, 1]).max() < 0.55  # drawn 0.8 m wide, before the robot
     (edge,) = session.measured_edge()
     assert abs(edge[:, 0].mean() - session.true_edges()[0][0, 0]) < 0.06
 
