@@ -10,6 +10,7 @@ from typing import Any
 from policies.report.figures import draw_curves
 from policies.train.checkpoints import read_state
 from policies.train.curves import CURVE_FILE, read_curve
+from policies.train.described import described
 from policies.train.training import CARD_FILE, CONFIG_FILE, load_config
 from stair_env.common.files import atomic_path
 from stair_env.common.markdown import format_value, markdown_table
@@ -44,7 +45,7 @@ def run_card(folder: Path) -> tuple[dict[str, Any], Path | None]:
         card = {
             "algorithm": config.algorithm,
             "env_id": config.env_id,
-            "env_kwargs": config.resolved_env_kwargs(),
+            "env_kwargs": described(config.resolved_env_kwargs()),
             "hyperparams": config.resolved_hyperparams(),
             "timesteps": steps,
             "training": rows[-1] if rows else {},

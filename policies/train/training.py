@@ -23,6 +23,7 @@ from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
+from policies.train.described import described, described_objects
 from policies.train.wandb_run import wandb_run
 from stair_env.common.files import provenance, write_json
 from stair_env.observation import PRIVILEGED_KEY
@@ -51,7 +52,8 @@ class TrainingConfig:
     Args:
         algorithm: "ppo" or "sac".
         env_id: environment id.
-        env_kwargs: keyword arguments of the environment, JSON-able; they replace those of the YAML file.
+        env_kwargs: keyword arguments of the environment, on top of those of the YAML file; of parts that are objects,
+            files only tell which they were.
         hyperparams: values that replace those of the algorithm's YAML file.
         hyperparams_file: YAML file in place of the shipped one.
         total_timesteps: environment steps over all environments; None takes the file's n_timesteps.
@@ -107,8 +109,8 @@ class TrainingConfig:
         return {**file.get("env_kwargs", {}), **self.env_kwargs}
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able form; `TrainingConfig(**values)` rebuilds it."""
-        return dataclasses.asdict(self)
+        """JSON-able form; `TrainingConfig(**values)` rebuilds it, unless parts of the environment are objects."""
+        return {entry.name: described(getattr(self, entry.name)) for entry in dataclasses.fields(self)}
 
 
 def train(
@@ -182,8 +184,15 @@ def load_config(folder: Path | str) -> TrainingConfig:
 
     Raises:
         FileNotFoundError: the folder holds no run.
+        ValueError: the run's environment has parts that are objects, which no file brings back.
     """
     values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
+    objects = described_objects(values.get("env_kwargs"))
+    if objects:
+        raise ValueError(
+            f"the run in {folder} has parts that are objects ({', '.join(objects)}): go on from Python, with "
+            "policies.train.training.train(config, folder, resume=True)"
+        )
     names = {item.name for item in dataclasses.fields(TrainingConfig)}
     return TrainingConfig(**{name: value for name, value in values.items() if name in names})
 
@@ -293,7 +302,7 @@ def _finish(config: TrainingConfig, model: BaseAlgorithm, folder: Path, summary:
     card = {
         "algorithm": config.algorithm,
         "env_id": config.env_id,
-        "env_kwargs": config.resolved_env_kwargs(),
+        "env_kwargs": described(config.resolved_env_kwargs()),
         "hyperparams": config.resolved_hyperparams(),
         "timesteps": model.num_timesteps,
         "training": summary,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import ENV_IDS, make_env, make_vec_env, normalise
 from policies.train import checkpoints, training
 from policies.train.curves import read_curve
+from stair_env.observation import NO_STAIRS
+from stair_env.parts import RewardTerm
+from stair_env.robots import get_robot
 
 PPO = {"n_steps": 64, "batch_size": 64, "n_epochs": 2, "policy": "policies.features.StairActorCriticPolicy"}
 SAC = {"learning_starts": 50, "policy": "policies.features.StairSacPolicy", "buffer_size": 2000}
@@ -195,3 +199,44 @@ def test_linear_schedule_falls_to_zero() -> None:
     assert schedule(1.0) == pytest.approx(0.001) and schedule(0.0) == pytest.approx(0.0)
     with pytest.raises(ValueError, match="lin_NUMBER"):
         training._schedule("cos_1")
+
+
+class Flat:
+    """A stair source of one's own: no stairs."""
+
+    def reset(self, spec: Any, rng: np.random.Generator) -> None:
+        pass
+
+    def read(self, pose: Any, truth: Any) -> Any:
+        return NO_STAIRS
+
+
+def torque(state: Any) -> float:
+    return -float(np.square(state.joint_torques).sum())
+
+
+def test_parts_may_be_objects(tmp_path: Path) -> None:
+    parts = {
+        "robot": dataclasses.replace(get_robot("a1"), name="my_a1"),
+        "stair_source": Flat(),
+        "rewards": {"torque": RewardTerm(torque, 1e-4), "nosing": None},
+        "max_episode_steps": 40,
+    }
+    config = training.TrainingConfig(
+        env_kwargs=parts,
+        hyperparams={"n_steps": 32, "batch_size": 32, "n_epochs": 1},
+        total_timesteps=32,
+        num_envs=1,
+        vec_kind="dummy",
+        checkpoint_every=32,
+    )
+    card = training.train(config, tmp_path / "run")
+    saved = json.loads((tmp_path / "run" / "config.json").read_text())["env_kwargs"]
+    assert saved == card["env_kwargs"] and saved["robot"]["name"] == "my_a1" and saved["rewards"]["nosing"] is None
+    assert saved["rewards"]["torque"]["fn"]["object"].endswith("torque") and saved["stair_source"]["object"].endswith(
+        "Flat"
+    )
+    with pytest.raises(ValueError, match=r"parts that are objects.*Flat.*resume=True"):
+        training.load_config(tmp_path / "run")
+    longer = dataclasses.replace(config, total_timesteps=64)
+    assert training.train(longer, tmp_path / "run", resume=True)["timesteps"] == 64

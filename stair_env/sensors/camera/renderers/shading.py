@@ -76,10 +76,11 @@ _LOBE_PEAK = np.float32(0.04)
 _BELOW_HORIZON = np.float32(0.6)  # brightness of the ground beyond the floor's end relative to the sky above it
 _KNEE = np.float32(0.75)  # radiance above which the film's shoulder begins
 
+part: Any = njit(nogil=True, error_model="numpy", fastmath=True)  # has no cache, see `visibility.part`
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 
 
-@kernel
+@part
 def _points(f, pose):  # type: ignore[no-untyped-def]
     """World points from rays and depth; pose is camera_to_world as (12,) float32, row by row."""
     for k in range(AREA):
@@ -89,7 +90,7 @@ def _points(f, pose):  # type: ignore[no-untyped-def]
         f[PZ + k] = (pose[8] * x + pose[9] * y + pose[10]) * t + pose[11]
 
 
-@kernel
+@part
 def _box_surface(f, n, m, o, size, rotation, shift, index):  # type: ignore[no-untyped-def]
     """Normals and surface coordinates of the pixels that see box number index."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -121,7 +122,7 @@ def _box_surface(f, n, m, o, size, rotation, shift, index):  # type: ignore[no-u
         f[V + k] = v if mine else f[V + k]
 
 
-@kernel
+@part
 def _round_surface(f, n, m, o, size, rotation, kind, index):  # type: ignore[no-untyped-def]
     """The same for a sphere, cylinder or capsule."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -148,7 +149,7 @@ def _round_surface(f, n, m, o, size, rotation, kind, index):  # type: ignore[no-
         f[V + k] = np.float32(1.6) * radius * p1 / (abs(p0) + abs(p1) + _TINY) if mine else f[V + k]
 
 
-@kernel
+@part
 def _apply_look(f, n, up_base, up, side_base, side, index):  # type: ignore[no-untyped-def]
     """Spread the two looks of solid number index, each (NUM_LOOK,), over its pixels."""
     for k in range(AREA):
@@ -163,7 +164,7 @@ def _apply_look(f, n, up_base, up, side_base, side, index):  # type: ignore[no-u
             f[DENSITY + block * AREA + k] = value if mine else f[DENSITY + block * AREA + k]
 
 
-@kernel
+@part
 def _towards_light(f, n, light):  # type: ignore[no-untyped-def]
     """Direction of the light, and how much would arrive were nothing in its way."""
     is_lamp = light[LAMP] > _ZERO
@@ -180,14 +181,14 @@ def _towards_light(f, n, light):  # type: ignore[no-untyped-def]
         f[OPEN + k] = _ONE
 
 
-@kernel
+@part
 def _wave(x):  # type: ignore[no-untyped-def]
     """A wave of period 1 between 0 (at whole numbers) and 1, made of parabolas: vectors have no cosine."""
     t = _TWO * abs(x - np.floor(x + _HALF))
     return t * t * (_ONE + _TWO - _TWO * t)
 
 
-@kernel
+@part
 def _cast_pattern(f, light, side):  # type: ignore[no-untyped-def]
     """Take direct light where bars out of sight stand in its way."""
     is_lamp = light[LAMP] > _ZERO
@@ -212,7 +213,7 @@ def _cast_pattern(f, light, side):  # type: ignore[no-untyped-def]
         f[LIT + k] *= _ONE - strength * covered
 
 
-@kernel
+@part
 def _soil(f, light):  # type: ignore[no-untyped-def]
     """Lighten or darken the albedo where it is trodden or damp."""
     gain, middle, narrow = light[SOIL], light[SOIL + 1], light[SOIL + 2]
@@ -233,7 +234,7 @@ def _soil(f, light):  # type: ignore[no-untyped-def]
         f[STRENGTH + k] += wetness * patch
 
 
-@kernel
+@part
 def _shade_by_box(f, rotation, centre, size, longest):  # type: ignore[no-untyped-def]
     """Take the direct light from points whose way to it, longest times D, meets a box."""
     r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
@@ -255,7 +256,7 @@ def _shade_by_box(f, rotation, centre, size, longest):  # type: ignore[no-untype
         f[LIT + k] = _ZERO if (enter < leave) & (leave > _ZERO) & (enter < longest) else f[LIT + k]
 
 
-@kernel
+@part
 def _shade_by_round(f, rotation, centre, size, kind, longest):  # type: ignore[no-untyped-def]
     """The same for a cylinder, a capsule (as a cylinder with its overall length) or a sphere."""
     r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
@@ -283,7 +284,7 @@ def _shade_by_round(f, rotation, centre, size, kind, longest):  # type: ignore[n
         f[LIT + k] = _ZERO if hit else f[LIT + k]
 
 
-@kernel
+@part
 def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-def]
     """Ambient light that a nearby solid takes away: how far it reaches into the ball that rests on the point."""
     r00, r01, r02, r10, r11, r12 = rotation[0], rotation[1], rotation[2], rotation[3], rotation[4], rotation[5]
@@ -304,7 +305,7 @@ def _close_off(f, rotation, centre, size, is_box):  # type: ignore[no-untyped-de
         f[OPEN + k] = min(f[OPEN + k], _ONE - _OPEN_LOSS * depth * depth)
 
 
-@kernel
+@part
 def _find_texels(f, n, pose, pixel_slope):  # type: ignore[no-untyped-def]
     """Which four texels surround a pixel, in the mip level whose texels are about as wide as the pixel."""
     ex, ey, ez = pose[3], pose[7], pose[11]
@@ -331,14 +332,14 @@ def _find_texels(f, n, pose, pixel_slope):  # type: ignore[no-untyped-def]
         n[TEXELS + 3 * AREA + k] = base + bottom * side + right
 
 
-@kernel
+@part
 def _fetch_texels(n, texels):  # type: ignore[no-untyped-def]
     """Replace indices by texels; apart from the rest because loads from anywhere do not vectorise."""
     for k in range(4 * AREA):
         n[TEXELS + k] = texels[np.uint32(n[TEXELS + k])]  # an index without sign needs no check for a negative one
 
 
-@kernel
+@part
 def _blend_texels(f, n):  # type: ignore[no-untyped-def]
     """Bilinear albedo from the four texels."""
     for k in range(AREA):
@@ -357,7 +358,7 @@ def _blend_texels(f, n):  # type: ignore[no-untyped-def]
         f[BLUE + k] = blue * blue * f[GAIN + 2 * AREA + k]
 
 
-@kernel
+@part
 def _radiance(f, n, light, pose):  # type: ignore[no-untyped-def]
     """Light the albedo; where nothing was hit, the sky."""
     gloss, exposure = light[GLOSS], light[EXPOSURE]
@@ -398,7 +399,7 @@ def _radiance(f, n, light, pose):  # type: ignore[no-untyped-def]
         f[BLUE + k] = exposure * (blue if hit else dim * (hb + zb * high))
 
 
-@kernel
+@part
 def _encode(f):  # type: ignore[no-untyped-def]
     """Radiance to sRGB times 255: a shoulder instead of clipping, then the curve as a sum of roots."""
     for k in range(3 * AREA):
@@ -413,7 +414,7 @@ def _encode(f):  # type: ignore[no-untyped-def]
         f[RED + k] = max(np.float32(12.92 * 255.0) * x if x < np.float32(0.0031308) else curve, _ZERO) + _HALF
 
 
-@kernel
+@part
 def _bounds(f, low, high):  # type: ignore[no-untyped-def]
     """Box around the tile's points, into low and high, both (3,)."""
     for a in range(3):
@@ -433,7 +434,7 @@ def _bounds(f, low, high):  # type: ignore[no-untyped-def]
             low[a], high[a] = min(low[a], f[SCRATCH + k]), max(high[a], f[SCRATCH + AREA + k])
 
 
-@kernel
+@part
 def _is_dark(f):  # type: ignore[no-untyped-def]
     total = _ZERO
     for k in range(AREA):
@@ -441,7 +442,7 @@ def _is_dark(f):  # type: ignore[no-untyped-def]
     return total == _ZERO
 
 
-@kernel
+@part
 def _neighbours(low, high, solid_low, solid_high, found):  # type: ignore[no-untyped-def]
     """List the solids that can take ambient light from points in the box low..high; returns their number."""
     margin = _TWO * _OPEN_REACH_M
@@ -462,7 +463,7 @@ def _neighbours(low, high, solid_low, solid_high, found):  # type: ignore[no-unt
     return count
 
 
-@kernel
+@part
 def _way_to_light(low, high, to_light, is_lamp):  # type: ignore[no-untyped-def]
     """Interval of one coordinate on the ways to the light from points in low..high."""
     if is_lamp:
@@ -470,7 +471,7 @@ def _way_to_light(low, high, to_light, is_lamp):  # type: ignore[no-untyped-def]
     return low + _LIFT_M if to_light >= _ZERO else -_HUGE, high - _LIFT_M if to_light <= _ZERO else _HUGE
 
 
-@kernel
+@part
 def _occluders(low, high, light, side, solid_low, solid_high, solid_side, found):  # type: ignore[no-untyped-def]
     """List the solids that can stand between the box low..high and the light; returns their number.
 
@@ -506,7 +507,7 @@ def _occluders(low, high, light, side, solid_low, solid_high, solid_side, found)
     return count
 
 
-@kernel
+@part
 def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: ignore[no-untyped-def]
     """Fill the buffers from the images; returns how many different solids are seen, listed in present."""
     height, width = depth.shape
@@ -539,7 +540,7 @@ def _load(f, n, u0, v0, rx, ry, depth, ids, seen, stamp, present):  # type: igno
     return count
 
 
-@kernel
+@part
 def _store(f, n, u0, v0, rgb, regions):  # type: ignore[no-untyped-def]
     """Copy colours and regions from the buffers to the images."""
     height, width = regions.shape

@@ -27,10 +27,14 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _TINY = np.float32(1e-12)
 _HUGE = np.float32(1e30)
 
+# What only kernels call is compiled with its caller and has no cache of its own: a function that comes out of a cache
+# is linked as other code than one compiled alongside, and under these flags other code may round differently. So a
+# machine has one code for a kernel, whatever it had compiled before, and one seed gives one picture.
+part: Any = njit(nogil=True, error_model="numpy", fastmath=FAST_MATH)
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST_MATH)
 
 
-@kernel
+@part
 def hit_box(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-untyped-def]
     """Enter an oriented box of half extents size; keeps the nearer of depth and the entry."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -57,7 +61,7 @@ def hit_box(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-unt
         ids[k] = index if hit else ids[k]
 
 
-@kernel
+@part
 def hit_sphere(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-untyped-def]
     """Enter a sphere of radius size[0]."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -78,7 +82,7 @@ def hit_sphere(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-
         ids[k] = index if hit else ids[k]
 
 
-@kernel
+@part
 def hit_cylinder(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-untyped-def]
     """Enter a cylinder with flat ends, radius size[0], half length size[1]."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -105,7 +109,7 @@ def hit_cylinder(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[n
         ids[k] = index if hit else ids[k]
 
 
-@kernel
+@part
 def hit_capsule(depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-untyped-def]
     """Enter a capsule of radius size[0] whose straight part has half length size[1]."""
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -189,7 +193,7 @@ def to_camera(rotations, centres, camera_to_world):  # type: ignore[no-untyped-d
     return m, o
 
 
-@kernel
+@part
 def bundle_entry(x0, x1, y0, y1, m, o, half, i):  # type: ignore[no-untyped-def]
     """Lower bound of the depth at which a bundle of rays enters the bounding box of solid i; huge when no ray can."""
     enter, leave = _ZERO, _HUGE
@@ -214,7 +218,7 @@ def bundle_entry(x0, x1, y0, y1, m, o, half, i):  # type: ignore[no-untyped-def]
     return enter if enter <= leave else _HUGE
 
 
-@kernel
+@part
 def _sort_by(keys, values, n):  # type: ignore[no-untyped-def]
     """Insertion sort of the first n entries, in place."""
     for i in range(1, n):
@@ -225,7 +229,7 @@ def _sort_by(keys, values, n):  # type: ignore[no-untyped-def]
         keys[j + 1], values[j + 1] = key, value
 
 
-@kernel
+@part
 def _hit(kind, depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-untyped-def]
     if kind == BOX:
         hit_box(depth, ids, rx, ry, m, o, size, near, index)
@@ -237,7 +241,7 @@ def _hit(kind, depth, ids, rx, ry, m, o, size, near, index):  # type: ignore[no-
         hit_capsule(depth, ids, rx, ry, m, o, size, near, index)
 
 
-@kernel
+@part
 def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):  # type: ignore[no-untyped-def]
     """List those of the first count solids in indices that a bundle of rays can enter, and where; returns how many."""
     found = 0
@@ -250,7 +254,7 @@ def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):
     return found
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(nogil=True, fastmath=True)
 def _maximum(values, scratch):  # type: ignore[no-untyped-def]
     """Largest of AREA values; by halving, which is faster than waiting for one result after another."""
     for k in range(AREA // 2):

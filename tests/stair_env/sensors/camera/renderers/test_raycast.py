@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from stair_env.common.compiling import CACHE_VARIABLE, KernelCache
 from stair_env.common.transforms import look_at
 from stair_env.common.validation import SpecError
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.scene.shapes import Shape, box_between, build_stair_shapes
-from stair_env.sensors.camera.renderers import make_renderer
+from stair_env.sensors.camera.renderers import make_renderer, shading, visibility
 from stair_env.stairs import StairSpec
 
 INTRINSICS = Intrinsics(100, 70, 90.0, 95.0, 47.0, 36.0)  # neither square nor a multiple of the tiles
@@ -206,6 +207,57 @@ def test_the_same_call_gives_the_same_bits_in_a_fresh_process():
     here = draw(*build_stair_shapes(StairSpec()), pose=look_at((-1, 0.4, 0.6), (0.6, 0, 0.4)))
     assert np.array_equal(rgb, here.rgb)
     assert np.array_equal(depth, here.depth_m)
+
+
+def test_under_fast_math_only_what_python_calls_has_a_cache():
+    """See `visibility.part`: code that depended on what was cached before could round differently."""
+    modules = (visibility, shading)
+    kernels = {name: value for module in modules for name, value in vars(module).items() if hasattr(value, "py_func")}
+    called = {name for value in kernels.values() for name in value.py_func.__code__.co_names}
+    fast = {name for name, value in kernels.items() if value.targetoptions.get("fastmath")}
+    cached = {name for name, value in kernels.items() if isinstance(value._cache, KernelCache)}
+    assert fast == set(kernels) and cached == set(kernels) - called == {
+        "trace_rows",
+        "tile_spans",
+        "to_camera",
+        "shade_rows",
+    }
+
+
+DRAW_SCENES = """
+import hashlib
+import numpy as np
+from stair_env.common.transforms import look_at
+from stair_env.intrinsics import Intrinsics
+from stair_env.sampling import Scene, SceneSampler
+from stair_env.sensors.camera.renderers import make_renderer
+rng = np.random.default_rng(5)
+sampler, digest = SceneSampler(), hashlib.sha256()
+for _ in range(12):
+    renderer = make_renderer("raycast", Scene(sampler.sample(rng)), threads=1)
+    pose = look_at((rng.uniform(-1.5, -0.5), rng.uniform(-0.3, 0.3), 0.7), (1.0, 0.0, 0.1))
+    frame = renderer.render(Intrinsics(200, 150, 190.0, 190.0, 100.0, 75.0), pose)
+    digest.update(frame.rgb.tobytes() + frame.depth_m.tobytes())
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_what_was_compiled_before_does_not_change_a_bit(tmp_path):
+    """Cold cache, warm cache, and one of which single kernels are gone."""
+    cache = tmp_path / "kernels"
+    environment = {**os.environ, CACHE_VARIABLE: str(cache)}
+
+    def drawn():
+        done = subprocess.run([sys.executable, "-c", DRAW_SCENES], env=environment, capture_output=True, check=True)
+        return done.stdout
+
+    cold, warm = drawn(), drawn()
+    assert cold == warm
+    for name in ("trace_rows", "shade_rows"):
+        for file in list(cache.rglob(f"*{name}*")):
+            file.unlink()
+        assert drawn() == cold, name
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
