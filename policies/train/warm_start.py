@@ -243,6 +243,9 @@ def warm_start(
         if robot not in STANCES:
             raise ValueError(f"robot={robot!r} has no stances of its own, give some; there are {', '.join(STANCES)}")
         stances = STANCES[robot]
+    import torch
+
+    torch.set_num_threads(1)  # on busy cores two wait for each other
     rng, folder = np.random.default_rng(seed), Path(folder)
     kwargs = {**env_kwargs, "robot": robot}
     hyperparams = load_hyperparams("ppo", CLIMB_ID)
