@@ -91,6 +91,7 @@ def _training(card: Mapping[str, Any]) -> str:
     training = card.get("training", {})
     facts = {
         "algorithm": card.get("algorithm"),
+        "method": card.get("method"),
         "environment": card.get("env_id"),
         "arguments": json.dumps(card.get("env_kwargs", {})),
         "hyperparameters": json.dumps(card.get("hyperparams", {})),

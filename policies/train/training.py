@@ -230,20 +230,35 @@ def _schedule(text: str) -> Any:
     return LinearSchedule(float(value), 0.0, 1.0)
 
 
+def build_model(config: TrainingConfig, hyperparams: Mapping[str, Any], venv: VecEnv) -> BaseAlgorithm:
+    """A fresh model on environments as they are.
+
+    Args:
+        config: names the algorithm and the seed.
+        hyperparams: as `TrainingConfig.resolved_hyperparams` gives them.
+        venv: normalised already, if it shall be.
+
+    Raises:
+        ValueError: the actor would read what no robot knows.
+    """
+    arguments, _ = _split(hyperparams)
+    _check_privileged(venv, arguments.get("policy"))
+    return algorithm_class(config.algorithm)(env=venv, seed=config.seed, device="cpu", **arguments)
+
+
 def _new_model(
     config: TrainingConfig, hyperparams: Mapping[str, Any], venv: VecEnv, start_from: Path | None
 ) -> BaseAlgorithm:
     from stable_baselines3.common.vec_env import VecNormalize
 
-    arguments, normalisation = _split(hyperparams)
+    normalisation = _split(hyperparams)[1]
     if start_from is not None and (start_from / checkpoints.NORMALISATION_FILE).exists():
         venv = VecNormalize.load(str(start_from / checkpoints.NORMALISATION_FILE), venv)
         venv.training = True
     elif normalisation:
         options = normalisation if isinstance(normalisation, dict) else {}
         venv = normalise(venv, gamma=float(hyperparams.get("gamma", DEFAULT_GAMMA)), options=options)
-    _check_privileged(venv, arguments.get("policy"))
-    model = algorithm_class(config.algorithm)(env=venv, seed=config.seed, device="cpu", **arguments)
+    model = build_model(config, hyperparams, venv)
     if start_from is not None:
         model.set_parameters(str(start_from / checkpoints.MODEL_FILE), exact_match=False, device="cpu")
     return model
