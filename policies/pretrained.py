@@ -10,23 +10,28 @@ import hashlib
 import json
 import pickle
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from policies.make_env import ENV_IDS
 from policies.portable import portable
 from policies.remembering import Recall, remembers, without_memory
+from policies.rollout import CONTROLS
 from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
 from stair_env.common.importing.extras import naming_extras
+from stair_env.robots import DEFAULT_ROBOT, get_robot
 
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "card.json"
 ARGUMENTS_FILE, BEST_FILE = "args.yml", "best_model.zip"  # of rl_zoo3's runs
+# What decides which robot acts, and what observation and action hold.
+INTERFACE = ("robot", "actuation", "actuator", "observations", "command", "gait", "privileged")
 
 
 class PolicyError(ValueError):
@@ -160,6 +165,65 @@ def _files_beside(model: Path) -> dict[str, Path]:
     return found
 
 
+def interface(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> dict[str, Any]:
+    """Arguments of `gym.make` without which a policy does not fit, as its card tells; empty where there is no card.
+
+    They are those of INTERFACE that it was trained with, and always the robot.
+    """
+    card = read_card(policy, weights)
+    if card.get("env_id") not in ENV_IDS:
+        return {}
+    trained = {name: value for name, value in card.get("env_kwargs", {}).items() if name in INTERFACE}
+    return {"robot": DEFAULT_ROBOT, **trained}
+
+
+def fitting_robot(robot: str | None, policies: Iterable[str | Path | None] = (), weights: Path = WEIGHTS_FOLDER) -> str:
+    """The robot that policies were trained on.
+
+    Args:
+        robot: name of the wanted one; None takes the policies', or DEFAULT_ROBOT where they tell nothing.
+        policies: names or paths; None stands for no policy.
+        weights: folder of shipped policies.
+
+    Raises:
+        PolicyError: a policy was trained on another robot; the message names both, and policies that would do.
+        SpecError: no such robot.
+    """
+    for policy in policies:
+        trained = interface(policy, weights).get("robot") if policy is not None else None
+        if trained is None:
+            continue
+        robot = robot or trained
+        if robot != trained:
+            get_robot(robot)
+            fitting = [name for name in sorted(_manifest(weights)) if interface(name, weights).get("robot") == robot]
+            raise PolicyError(
+                f"robot={robot!r}: policy {str(policy)!r} was trained on {trained!r}; leave the robot out, or use a "
+                f"policy of {robot!r}: {', '.join(fitting) or 'none shipped yet'}"
+            )
+    return get_robot(robot or DEFAULT_ROBOT).name
+
+
+def read_card(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> dict[str, Any]:
+    """How a policy was trained; empty where there is no such policy, or it has no card."""
+    from policies.train.cards import run_card
+
+    if policy in CONTROLS:
+        return {}
+    try:
+        folder = locate(policy, weights)
+    except PolicyError:
+        return {}
+    return _card_in(folder) or run_card(folder)[0]
+
+
+def _card_in(folder: Path) -> dict[str, Any]:
+    """The card in a folder; empty where there is none."""
+    file = folder / CARD_FILE
+    card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return card
+
+
 @naming_extras()
 def load(
     policy: str | Path, env: gym.Env | None = None, weights: Path = WEIGHTS_FOLDER, *, trusted: bool = False
@@ -181,9 +245,7 @@ def load(
         contents = _read_checked(str(policy), weights)
     else:
         contents = {name: path.read_bytes() for name, path in _own_files(policy, weights).items()}
-    card_file = folder / CARD_FILE
-    card = json.loads(card_file.read_text(encoding="utf-8")) if card_file.is_file() else {}
-    loaded = _rebuild(str(policy), contents, card, trusted)
+    loaded = _rebuild(str(policy), contents, _card_in(folder), trusted)
     if env is not None:
         loaded.check_spaces(env)
     return loaded

@@ -16,9 +16,8 @@ from gymnasium import spaces
 from stair_env.common.validation import SpecError
 from stair_env.observation import PROPRIO_SLICES
 from stair_env.onboard.memory import MEMORY_BOUND, MEMORY_KEY, MEMORY_SIZE, Memory
-from stair_env.robots import NUM_JOINTS, get_robot
+from stair_env.robots import DEFAULT_ROBOT, NUM_JOINTS, get_robot
 
-DEFAULT_ROBOT = "aliengo"  # the environment's
 NEEDED_KEYS = ("proprio", "stair")
 JOINT_PROPRIO_SIZE = PROPRIO_SLICES["last_action"].start + NUM_JOINTS
 

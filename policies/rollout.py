@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,7 +20,7 @@ StepHook = Callable[[Mapping[str, Any], Mapping[str, Any]], None]
 
 
 class Predictor(Protocol):
-    """What acts: a `policies.pretrained.Policy`, an SB3 model, or ZeroAction."""
+    """What acts: a `policies.pretrained.Policy`, an SB3 model, or one of CONTROLS."""
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -42,6 +43,28 @@ class ZeroAction:
     ) -> tuple[np.ndarray, Any]:
         """Zeros, whatever is seen."""
         return self._action, state
+
+
+class RandomAction:
+    """Any action is as likely as any other; an episode's first observation seeds them, so that it can be repeated.
+
+    Args:
+        action_space: of the environment.
+    """
+
+    def __init__(self, action_space: gym.Space) -> None:
+        self._shape = action_space.shape or ()
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        """A drawn action; the memory is the generator."""
+        if state is None:
+            state = np.random.default_rng(zlib.crc32(observation["proprio"].tobytes()))
+        return state.uniform(-1.0, 1.0, self._shape).astype(np.float32), state
+
+
+CONTROLS: dict[str, Callable[[gym.Space], Predictor]] = {"zero": ZeroAction, "random": RandomAction}  # need no training
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,17 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
     return (max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share)))  # exact at 0 and 1
 
 
+def sign_test(gained: int, lost: int) -> float:
+    """Two-sided p-value of the sign test: that pairs which differ fall to either side by the toss of a coin.
+
+    Args:
+        gained, lost: pairs that differ, by side (McNemar's discordant pairs).
+    """
+    tosses, fewer = gained + lost, min(gained, lost)
+    tail = sum(math.comb(tosses, count) for count in range(fewer + 1)) / 2**tosses
+    return min(1.0, 2.0 * tail)
+
+
 def root_mean_square(sum_of_squares: float, count: float) -> float | None:
     """Root of the mean square; None when nothing was counted."""
     return math.sqrt(sum_of_squares / count) if count else None

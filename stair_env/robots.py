@@ -184,6 +184,7 @@ _MINI_CHEETAH = RobotSpec(
     joint_signs=(1.0, -1.0, -1.0) * 4,
 )
 
+DEFAULT_ROBOT = "aliengo"
 ROBOTS: dict[str, RobotSpec] = {robot.name: robot for robot in (_ALIENGO, _A1, _LAIKAGO, _MINI_CHEETAH)}
 
 

@@ -19,7 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--output", type=Path, default=Path("runs/demo"), help="folder (%(default)s)")
     parser.add_argument("--episodes", type=positive_int, default=4, help="flights to climb (%(default)s)")
     parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
-    parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
+    parser.add_argument("--robot", metavar="NAME", help="robot (the policy's, or aliengo)")
     parser.add_argument("--direction", choices=EPISODE_DIRECTIONS, default="both", help="(%(default)s)")
     parser.add_argument("--lighting", choices=DEMO_LIGHTINGS, default="both", help="(%(default)s)")
     parser.add_argument("--rerun", type=Path, metavar="FILE", help="also a recording for the Rerun viewer (.rrd)")

@@ -18,6 +18,8 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
+SETTINGS = ("robot", "stairs", "lighting", "env_kwargs", "policy", "blind_policy")
+
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Declare the options."""
@@ -26,11 +28,15 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="compare stair sources on paired episodes",
         description="Run the same episodes with each source of the stair block; 95 % intervals are Wilson's.",
     )
-    parser.add_argument("--policy", metavar="NAME|FILE", help="shipped name, folder or model.zip (the robot's name)")
+    parser.add_argument(
+        "--policy",
+        metavar="NAME|FILE",
+        help="shipped name, folder or model.zip; or zero (the gait alone), random (the robot's name)",
+    )
     parser.add_argument(
         "--blind-policy", metavar="NAME|FILE", help="policy of the source `blind`, trained without sight (POLICY-blind)"
     )
-    parser.add_argument("--robot", default="aliengo", help="robot (%(default)s)")
+    parser.add_argument("--robot", metavar="NAME", help="robot (the policy's, or aliengo)")
     parser.add_argument(
         "--source",
         type=choice_list(EVALUATION_SOURCES),
@@ -42,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--stairs",
         choices=STAIR_SETS,
         default="paper",
-        help="the six of the paper's table 7, risers x treads, or random (%(default)s)",
+        help="the six of the paper's table 7, risers x treads, random, or a ladder beyond the gait (%(default)s)",
     )
     parser.add_argument(
         "--direction",
@@ -61,7 +67,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environments"
     )
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw success over risers and treads as PNG")
+    parser.add_argument(
+        "--figure", type=Path, metavar="FILE", help="draw success over risers and treads, or the ladder, as PNG"
+    )
     parser.add_argument(
         "--film", type=Path, metavar="FOLDER", help="film the first failure and the first success of each source"
     )
@@ -84,17 +92,21 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError("--resume needs --json FILE, beside which the episodes are kept")
     from policies.evaluate import evaluation
     from policies.evaluate.episode_log import EpisodeLog, log_path
+    from policies.pretrained import fitting_robot
+    from policies.rollout import CONTROLS
     from stair_env.common.progress import progress_bar
 
-    policy = args.policy or args.robot
+    robot = fitting_robot(args.robot, [args.policy])
+    policy = args.policy or robot
+    blind = args.blind_policy or (policy if policy in CONTROLS else f"{policy}-blind")
     actors = {evaluation.SOURCE_SETUPS[name].actor for name in args.source}
     sizes = {name: getattr(args, name) for name in ("risers", "treads") if getattr(args, name)}
     if sizes and args.stairs != "grid":
         raise ValueError(f"--{next(iter(sizes))} is for --stairs grid, not {args.stairs}")
     config = evaluation.EvaluationConfig(
         policy=policy if "policy" in actors else None,
-        blind_policy=(args.blind_policy or f"{policy}-blind") if "blind" in actors else None,
-        robot=args.robot,
+        blind_policy=blind if "blind" in actors else None,
+        robot=robot,
         sources=args.source,
         stairs=args.stairs,
         directions=args.direction,
@@ -113,11 +125,12 @@ def run(args: argparse.Namespace) -> int:
         records = evaluation.run_all(config, bar.update, log)
     results = evaluation.tabulate(config, records)
     if args.json:
-        settings = {name: getattr(args, name) for name in ("robot", "stairs", "lighting", "env_kwargs")}
-        settings |= {"policy": config.policy, "blind_policy": config.blind_policy}
+        settings = {name: getattr(config, name) for name in SETTINGS}
         write_json(args.json, {**settings, **results}, seed=args.seed)
     print(format_table(results))
-    if args.figure:
+    if args.stairs == "ladder":
+        _show_ladder({**{name: getattr(config, name) for name in SETTINGS}, "seed": args.seed, **results}, args.figure)
+    elif args.figure:
         from policies.report.figures import draw_success
 
         draw_success(results["cells"], args.figure)
@@ -133,10 +146,22 @@ def run(args: argparse.Namespace) -> int:
 def _check_policies(config: Any) -> None:
     """A missing policy is reported before the workers start."""
     from policies.pretrained import locate
+    from policies.rollout import CONTROLS
 
     for policy in (config.policy, config.blind_policy):
-        if policy is not None:
+        if policy is not None and policy not in CONTROLS:
             locate(policy)
+
+
+def _show_ladder(results: dict[str, Any], figure: Path | None) -> None:
+    """The ladder's table in Markdown, and its picture."""
+    from policies.evaluate.leaderboard import rows_of, summary_table
+    from policies.report.figures import draw_ladder
+
+    rows = rows_of(results)
+    print(f"\n{summary_table(rows)}")
+    if figure:
+        draw_ladder(rows, figure)
 
 
 def format_table(results: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ COMMANDS: dict[str, str] = {
     "view": "render staircases or sensor frames to PNG",
     "train": "train a policy with Stable-Baselines3",
     "evaluate": "compare stair sources on paired episodes",
+    "benchmark": "all policies on the ladder, in one table that takes rows of one's own",
     "perceive": "measure stairs in RGB-D images, recordings, or what a RealSense sees",
     "record": "write a set in the training format, or a recording, from a device or a recording",
     "calibrate": "where the camera sits on the robot, from the floor or stairs in view",

@@ -29,7 +29,7 @@ class DemoConfig:
 
     Args:
         policy: shipped name or folder; None takes the robot's name.
-        robot: which robot.
+        robot: which robot; None takes the policy's.
         episodes: flights to climb.
         direction: "up", "down", or "both" in turn.
         lighting: "day", "night", or "both" in turn.
@@ -42,7 +42,7 @@ class DemoConfig:
     """
 
     policy: str | None = None
-    robot: str = "aliengo"
+    robot: str | None = None
     episodes: int = 4
     direction: str = "both"
     lighting: str = "both"
@@ -56,6 +56,7 @@ class DemoConfig:
         check_choice("lighting", self.lighting, DEMO_LIGHTINGS)
         if self.episodes < 1:
             raise ValueError(f"episodes={self.episodes!r} must be >= 1")
+        object.__setattr__(self, "robot", pretrained.fitting_robot(self.robot, (self.policy,)))
 
     def flight(self, index: int) -> dict[str, Any]:
         """Direction and lighting of a flight: directions change first, then the light."""
@@ -83,7 +84,7 @@ def run_demo(
     Raises:
         ValueError: no such policy or robot, or the policy does not fit.
     """
-    policy_name = config.policy or config.robot
+    policy_name = config.policy or str(config.robot)
     pretrained.locate(policy_name)
     video = Path(folder) / "demo.mp4"
     seeds = np.random.SeedSequence(config.seed).generate_state(config.episodes)

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import multiprocessing
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,16 +17,19 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from policies.evaluate.episode_log import EpisodeLog, Key
+from policies import pretrained
+from policies.evaluate.episode_log import EpisodeLog
+from policies.evaluate.flying import Job, Worker, run_jobs
 from policies.evaluate.stair_sets import GRID_RISERS_M, GRID_TREADS_M, Cell, make_cells
-from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_env
-from policies.rollout import Episode, Predictor, ZeroAction, measurement_summary, run_episode
+from policies.make_env import CLIMB_ID, PERCEPTION_ID
+from policies.rollout import Episode, Predictor, measurement_summary, run_episode
 from policies.statistics import wilson_interval
 from stair_env.common.constants import EVALUATION_SOURCES, GRAVITY_M_S2, WALKING_DIRECTIONS
 from stair_env.common.validation import check_choice
 from stair_env.physics.simulation import CONTROL_DT
-from stair_env.robots import get_robot
+from stair_env.robots import DEFAULT_ROBOT, get_robot
 
+OUTCOMES_KEY = "outcomes"  # 1 or 0 for each episode of a cell, which pairs them across evaluations of one seed
 CHUNK = 5  # episodes that a worker runs at a time: few enough to share the work evenly
 
 
@@ -65,11 +65,11 @@ class EvaluationConfig:
     """What is compared.
 
     Args:
-        policy: shipped name or folder of the policy that sees; None where only the gait walks.
+        policy: shipped name or folder of the policy that sees, or a name in CONTROLS; None where only the gait walks.
         blind_policy: the same for the policy trained without sight.
-        robot: which robot.
+        robot: which robot; None takes the policies', or aliengo.
         sources: names in EVALUATION_SOURCES.
-        stairs: "paper", "grid" or "random".
+        stairs: name in STAIR_SETS.
         directions: any of "up", "down".
         risers, treads: of the grid, metres.
         episodes: of each cell and source.
@@ -84,7 +84,7 @@ class EvaluationConfig:
 
     policy: str | None = None
     blind_policy: str | None = None
-    robot: str = "aliengo"
+    robot: str | None = None
     sources: Sequence[str] = ("oracle", "gait")
     stairs: str = "paper"
     directions: Sequence[str] = WALKING_DIRECTIONS
@@ -104,7 +104,8 @@ class EvaluationConfig:
         for name in ("episodes", "workers"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
-        get_robot(self.robot)
+        robot = pretrained.fitting_robot(self.robot, (self.policy, self.blind_policy))
+        object.__setattr__(self, "robot", robot)
         self.cells()
         actors = {SOURCE_SETUPS[name].actor for name in self.sources}
         if "policy" in actors and self.policy is None:
@@ -114,27 +115,10 @@ class EvaluationConfig:
 
     def cells(self) -> list[Cell]:
         """What is climbed, in the order that seeds and records count by."""
-        return make_cells(self.stairs, self.directions, self.risers, self.treads)
+        return make_cells(self.stairs, self.directions, self.risers, self.treads, self.robot or DEFAULT_ROBOT)
 
 
 Records = dict[tuple[str, int], list[Episode]]
-
-
-@dataclass(frozen=True)
-class Job:
-    """Some episodes of one cell with one source."""
-
-    source: str
-    cell_index: int
-    env_id: str
-    env_kwargs: dict[str, Any]
-    options: dict[str, Any]
-    policy: str | None
-    seeds: tuple[int, ...]
-
-    def key(self, seed: int) -> Key:
-        """Of one of its episodes, in an `EpisodeLog`."""
-        return self.source, self.policy, self.cell_index, seed
 
 
 def evaluate(config: EvaluationConfig, on_done: Callable[[int], None] | None = None) -> dict[str, Any]:
@@ -169,7 +153,7 @@ def run_all(
     ]
     if on_done and len(left) < len(jobs):
         on_done(sum(len(job.seeds) for job in jobs) - sum(len(job.seeds) for job in left))
-    for job, episodes in _run_jobs(left, config.workers):
+    for job, episodes in run_jobs(left, config.workers):
         found.update((job.key(episode.seed), episode) for episode in episodes)
         if log:
             log.add(job.source, job.policy, job.cell_index, episodes)
@@ -192,9 +176,13 @@ def episode_settings(config: EvaluationConfig) -> dict[str, Any]:
 def tabulate(config: EvaluationConfig, records: Records) -> dict[str, Any]:
     """`cells` and `overall` as `stair-env evaluate --json` writes them."""
     cells = config.cells()
-    mass = get_robot(config.robot).mass
+    mass = get_robot(config.robot or DEFAULT_ROBOT).mass
     rows = [
-        _describe_cell(source, cells[index]) | summarise(episodes, SOURCE_SETUPS[source].perceived, mass)
+        {
+            **_describe_cell(source, cells[index]),
+            **summarise(episodes, SOURCE_SETUPS[source].perceived, mass),
+            OUTCOMES_KEY: "".join(str(int(episode.success)) for episode in episodes),
+        }
         for (source, index), episodes in records.items()
     ]
     overall = {}
@@ -243,7 +231,7 @@ def _chosen(
 ) -> Iterator[tuple[gym.Env, Predictor, Job, int, str, str]]:
     """Of each source the first episode that failed and the first that succeeded: what flies it, its name and title."""
     cells, named = config.cells(), set()
-    with contextlib.closing(_Worker()) as worker:
+    with contextlib.closing(Worker()) as worker:
         for job in plan_jobs(config, cells):
             for seed in job.seeds:
                 episode = next(e for e in records[job.source, job.cell_index] if e.seed == seed)
@@ -263,7 +251,8 @@ def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
     jobs = []
     for name in sorted(config.sources, key=lambda name: SOURCE_SETUPS[name].env_id != PERCEPTION_ID):
         source = SOURCE_SETUPS[name]
-        common = {"robot": config.robot, "lighting": config.lighting, **config.env_kwargs, **source.env_kwargs}
+        common = {**_interface(actors[source.actor]), "robot": config.robot, "lighting": config.lighting}
+        common |= {**config.env_kwargs, **source.env_kwargs}
         for index, cell in enumerate(cells):
             seeds = episode_seeds(config.seed, index, config.episodes)
             for start in range(0, len(seeds), CHUNK):
@@ -301,84 +290,17 @@ def summarise(episodes: Sequence[Episode], perceived: bool, mass_kg: float) -> d
     return summary
 
 
+def _interface(policy: str | None) -> dict[str, Any]:
+    """Arguments of the environment without which a policy does not fit."""
+    return {} if policy is None else pretrained.interface(policy)
+
+
 def _describe_cell(source: str, cell: Cell) -> dict[str, Any]:
     named = {"stair": cell.name} if cell.name else {}
+    if cell.condition:
+        named["condition"] = cell.condition
     size = {"riser_height": cell.riser_height, "tread_depth": cell.tread_depth, "num_steps": cell.num_steps}
     return {"source": source, "direction": cell.direction, **named, **size}
-
-
-def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Episode]]]:
-    """Results as they come, from this process or from workers that start without its threads."""
-    if workers == 1 or not jobs:
-        with contextlib.closing(_Worker()) as worker:
-            for job in jobs:
-                yield job, worker.run(job)
-        return
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # read by the workers' libraries at load
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
-        pending = {pool.submit(_run_in_worker, job): job for job in jobs}
-        try:
-            for done in as_completed(pending):
-                yield pending[done], done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-class _Worker:
-    """Keeps the environment and the policies between jobs."""
-
-    def __init__(self) -> None:
-        self._key: Any = None
-        self._env: gym.Env | None = None
-        self._policies: dict[str, Predictor] = {}
-
-    def prepare(self, job: Job) -> tuple[gym.Env, Predictor]:
-        env = self._environment(job)
-        return env, self._policy(job.policy, env)
-
-    def run(self, job: Job) -> list[Episode]:
-        env, policy = self.prepare(job)
-        return [run_episode(env, policy, seed, options=job.options) for seed in job.seeds]
-
-    def _environment(self, job: Job) -> gym.Env:
-        key = (job.env_id, repr(sorted(job.env_kwargs.items())))
-        if key != self._key or self._env is None:
-            self.close()
-            self._env, self._key = make_env(job.env_id, job.env_kwargs, monitor=False), key
-        return self._env
-
-    def _policy(self, name: str | None, env: gym.Env) -> Predictor:
-        if name is None:
-            return ZeroAction(env.action_space)
-        from policies import pretrained
-
-        if name not in self._policies:
-            self._policies[name] = pretrained.load(name, env)
-        return self._policies[name]
-
-    def close(self) -> None:
-        if self._env is not None:
-            self._env.close()
-        self._env = self._key = None
-
-
-_WORKER: list[_Worker] = []  # one in each worker process
-
-
-def _run_in_worker(job: Job) -> list[Episode]:
-    if not _WORKER:
-        _limit_torch()
-        _WORKER.append(_Worker())
-    return _WORKER[0].run(job)
-
-
-def _limit_torch() -> None:
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def count_episodes(config: EvaluationConfig) -> int:

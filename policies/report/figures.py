@@ -69,6 +69,58 @@ def _draw_panel(axis: Axes, cells: Sequence[Mapping[str, Any]]) -> Any:
     return image
 
 
+def draw_ladder(rows: Sequence[Mapping[str, Any]], path: Path | str) -> None:
+    """Success over riser height, and by condition beside it: rows of panels are robots, columns directions.
+
+    Args:
+        rows: cells of an evaluation on the ladder with `policy` and `robot` (`policies.evaluate.leaderboard.rows_of`).
+        path: PNG to write.
+
+    Raises:
+        ValueError: there is no row.
+    """
+    if not rows:
+        raise ValueError("a figure of the ladder needs rows of an evaluation with stairs='ladder'")
+    robots, directions = (list(dict.fromkeys(row[name] for row in rows)) for name in ("robot", "direction"))
+    figure, axes = _panels(len(robots), len(directions), (5.2, 3.2))
+    for line, robot in enumerate(robots):
+        for column, direction in enumerate(directions):
+            axis = axes[line, column]
+            _draw_rungs(axis, [row for row in rows if row["robot"] == robot and row["direction"] == direction])
+            axis.set_title(f"{robot}, {direction}", fontsize=10)
+        axes[line, 0].set_ylabel("success, 95 % interval")
+        axes[line, -1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _save(figure, path)
+
+
+def _draw_rungs(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A line over the rungs and points over the conditions, for each policy and source."""
+    risers = sorted({row["riser_height"] for row in rows if row["condition"] == "rung"})
+    conditions = list(dict.fromkeys(row["condition"] for row in rows if row["condition"] != "rung"))
+    step = 0.02  # metres of the axis from one condition to the next
+    places = {name: (risers[-1] if risers else 0.0) + step * (index + 1) for index, name in enumerate(conditions)}
+    lines: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        lines.setdefault((row["policy"], row["source"]), []).append(row)
+    for index, ((policy, source), part) in enumerate(lines.items()):
+        shift = 0.0012 * (index - (len(lines) - 1) / 2)
+        colour, name = f"C{index}", f"{policy}, {source}"
+        rungs = sorted((row for row in part if row["condition"] == "rung"), key=lambda row: row["riser_height"])
+        for chosen, style in ((rungs, "o-"), ([row for row in part if row["condition"] != "rung"], "o")):
+            x = np.array([places.get(row["condition"], row["riser_height"]) for row in chosen]) + shift
+            y = np.array([row["success_rate"] for row in chosen])
+            error = np.abs(np.array([row["ci95"] for row in chosen]).reshape(-1, 2).T - y)
+            axis.errorbar(x, y, error, fmt=style, color=colour, label=name, markersize=3, linewidth=1.0, elinewidth=0.6)
+            name = ""
+    axis.set_xticks([*risers, *places.values()], [*(f"{riser:.2f}" for riser in risers), *conditions], rotation=40)
+    axis.tick_params(axis="x", labelsize=8)
+    if risers and conditions:
+        axis.axvline(risers[-1] + step / 2, color="0.7", linewidth=0.8)
+    axis.set_ylim(-0.03, 1.03)
+    axis.grid(alpha=0.3)
+    axis.set_xlabel("riser height, m | condition")
+
+
 def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | str) -> None:
     """Learning curves: success rate and curriculum level over environment steps.
 
@@ -96,12 +148,12 @@ def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | 
     _save(figure, path)
 
 
-def _panels(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
+def _panels(rows: int, columns: int, inches: tuple[float, float] = PANEL_INCHES) -> tuple[Figure, np.ndarray]:
     """A figure without a display, and its axes as a 2-D array."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(PANEL_INCHES[0] * columns + 1.2, PANEL_INCHES[1] * rows), layout="constrained")
+    figure = Figure(figsize=(inches[0] * columns + 1.2, inches[1] * rows), layout="constrained")
     FigureCanvasAgg(figure)
     axes: np.ndarray = figure.subplots(rows, columns, squeeze=False)
     return figure, axes

@@ -27,7 +27,7 @@ STEP_COUNT_RANGE = (1, 24)
 MEASURABLE_RISER_M = 0.25  # perception takes anything larger for no step
 MEASURABLE_TREAD_M = 0.50
 PAPER_STAIR_NAMES = ("Stair1", "Stair2", "Stair3", "Stair4", "Stair5", "Stair6")
-STAIR_SETS = ("paper", "grid", "random")  # from which policies are evaluated
+STAIR_SETS = ("paper", "grid", "random", "ladder")  # from which policies are evaluated
 
 # Directions: of a flight that is walked, of a staircase that is built, and two ways to leave the choice to chance.
 WALKING_DIRECTIONS: tuple[Literal["up", "down"], ...] = ("up", "down")

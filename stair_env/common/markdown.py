@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-HIDDEN_COLUMNS = ("terminations", "num_steps")
+HIDDEN_COLUMNS = ("terminations", "num_steps", "outcomes")
 
 
 def markdown_table(rows: Sequence[Mapping[str, Any]]) -> str:

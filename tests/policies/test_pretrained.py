@@ -164,3 +164,29 @@ def test_differences_are_described(given: Any, expected: str) -> None:
 def test_every_shipped_policy_loads() -> None:
     for name in pretrained.names():
         assert pretrained.load(name).card["env_id"]
+
+
+def write_policy(folder: Path, **card: Any) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "model.zip").write_bytes(b"")
+    (folder / "card.json").write_text(json.dumps(card))
+    return folder
+
+
+def test_a_policy_tells_the_arguments_without_which_it_does_not_fit(tmp_path: Path) -> None:
+    env_kwargs = {"actuation": "joint", "curriculum": True, "riser_height": [0.1, 0.2]}
+    folder = write_policy(tmp_path / "own", env_id="stair_env/StairClimb-v0", env_kwargs=env_kwargs)
+    assert pretrained.interface(folder) == {"robot": "aliengo", "actuation": "joint"}
+    assert pretrained.interface(write_policy(tmp_path / "foreign", env_id="CartPole-v1")) == {}
+    assert pretrained.interface("no such policy") == pretrained.interface("zero") == {}
+
+
+def test_robots_and_policies_go_together(tmp_path: Path) -> None:
+    folder = write_policy(tmp_path / "own", env_id="stair_env/StairClimb-v0", env_kwargs={"robot": "laikago"})
+    assert pretrained.fitting_robot(None, [folder]) == "laikago"
+    assert pretrained.fitting_robot(None, [None, "random"]) == "aliengo"
+    assert pretrained.fitting_robot("a1", ["a1", None]) == "a1"
+    with pytest.raises(PolicyError, match=r"robot='a1': policy '.*own' was trained on 'laikago'.* of 'a1': a1"):
+        pretrained.fitting_robot("a1", [folder])
+    with pytest.raises(ValueError, match="robot='cat'"):
+        pretrained.fitting_robot("cat", ["a1"])

@@ -1,11 +1,11 @@
-"""Wilson's interval."""
+"""Wilson's interval, the sign test, root mean squares."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from policies.statistics import root_mean_square, wilson_interval
+from policies.statistics import root_mean_square, sign_test, wilson_interval
 
 
 def test_known_value() -> None:
@@ -48,3 +48,12 @@ def test_nonsense_is_refused(successes: int, trials: int) -> None:
 
 def test_root_mean_square_of_nothing_is_none() -> None:
     assert root_mean_square(0.0, 0) is None and root_mean_square(8.0, 2) == 2.0
+
+
+def test_sign_test_is_the_exact_binomial_one() -> None:
+    from scipy.stats import binomtest
+
+    for gained, lost in ((0, 0), (1, 0), (5, 5), (9, 1), (3, 12), (40, 20)):
+        expected = binomtest(gained, gained + lost).pvalue if gained + lost else 1.0
+        assert sign_test(gained, lost) == pytest.approx(expected)
+        assert sign_test(gained, lost) == sign_test(lost, gained)

@@ -48,6 +48,8 @@ def test_evaluate_writes_cells_and_overall(
     [
         (["evaluate", "--policy", "no/such/policy"], ["no/such/policy", "model.zip"]),
         (["evaluate", "--source", "gait", "--robot", "cat"], ["robot='cat'", "aliengo"]),
+        (["evaluate", "--policy", "a1", "--robot", "aliengo"], ["robot='aliengo'", "policy 'a1'", "aliengo-blind"]),
+        (["benchmark", "no_such.json"], ["no_such.json"]),
         (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
         (["train", "--hyperparams", "no_such.yml"], ["no_such.yml"]),
@@ -57,7 +59,7 @@ def test_evaluate_writes_cells_and_overall(
 def test_bad_input_is_one_clear_line(
     arguments: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output = [] if arguments[0] == "evaluate" else ["--output", str(tmp_path / "run")]
+    output = [] if arguments[0] in ("evaluate", "benchmark") else ["--output", str(tmp_path / "run")]
     assert main([*arguments, *output]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("stair-env")]
     assert len(lines) == 1 and all(word in lines[0] for word in words)
@@ -68,3 +70,18 @@ def test_wrong_options_name_the_choices(arguments: list[str], capsys: pytest.Cap
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2 and capsys.readouterr().err
+
+
+def test_a_row_of_ones_own_joins_the_benchmark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The gait alone for two control steps a flight: what counts is that the table takes it."""
+    own = tmp_path / "own.json"
+    options = ["--stairs", "ladder", "--source", "gait", "--direction", "up", "--episodes", "1", "--workers", "1"]
+    limits = ["--env-kwargs", '{"max_episode_steps": 2}', "--figure", str(tmp_path / "own.png")]
+    assert main(["evaluate", *options, *limits, "--json", str(own)]) == 0
+    assert "push_1.0" in capsys.readouterr().out and (tmp_path / "own.png").stat().st_size > 1000
+    assert main(["benchmark", str(own), "--output", str(tmp_path / "results")]) == 0
+    assert main(["benchmark", str(own), "--output", str(tmp_path / "results")]) == 0  # once more changes nothing
+    rows = json.loads((tmp_path / "results" / "benchmark.json").read_text())["cells"]
+    assert len(rows) == 8 and {row["policy"] for row in rows} == {"zero"}
+    assert '| zero {"max_episode_steps": 2} |' in (tmp_path / "results" / "benchmark.md").read_text()
+    assert (tmp_path / "results" / "benchmark.png").is_file()

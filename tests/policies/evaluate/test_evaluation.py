@@ -160,3 +160,22 @@ def test_film_shows_the_episodes_that_were_counted(tmp_path: Path) -> None:
 def test_workers_and_one_process_agree() -> None:
     config = EvaluationConfig(sources=("gait",), stairs="random", episodes=6, env_kwargs=SHORT)
     assert evaluate(config) == evaluate(dataclasses.replace(config, workers=2))
+
+
+def test_ladder_rows_name_their_condition_and_each_outcome() -> None:
+    limits = {"max_episode_steps": 2}
+    config = EvaluationConfig(
+        policy="random", sources=("oracle",), stairs="ladder", directions=("up",), episodes=1, env_kwargs=limits
+    )
+    cells = evaluate(config)["cells"]
+    assert [cell["riser_height"] for cell in cells if cell["condition"] == "rung"] == [0.15, 0.17, 0.20, 0.23]
+    assert {cell["outcomes"] for cell in cells} == {"0"}
+
+
+def test_a_policy_brings_its_robot_and_refuses_another() -> None:
+    config = EvaluationConfig(policy="a1", sources=("oracle",), stairs="ladder", directions=("up",))
+    assert config.robot == "a1" and config.cells()[0].riser_height == 0.12
+    assert {job.env_kwargs["robot"] for job in plan_jobs(config, config.cells())} == {"a1"}
+    assert EvaluationConfig(sources=("gait",)).robot == "aliengo"
+    with pytest.raises(ValueError, match=r"robot='aliengo': policy 'a1' was trained on 'a1'.*aliengo, aliengo-blind"):
+        dataclasses.replace(config, robot="aliengo")

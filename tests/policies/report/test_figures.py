@@ -8,7 +8,7 @@ from typing import Any
 import imageio.v3 as iio
 import pytest
 
-from policies.report.figures import draw_curves, draw_success
+from policies.report.figures import draw_curves, draw_ladder, draw_success
 
 
 def cell(source: str, direction: str, riser: Any, tread: Any, rate: float, **other: Any) -> dict[str, Any]:
@@ -46,3 +46,19 @@ def test_curves_skip_missing_values(tmp_path: Path) -> None:
     assert (tmp_path / "curve.png").is_file()
     with pytest.raises(ValueError, match="no learning curve"):
         draw_curves({"run": []}, tmp_path / "none.png")
+
+
+def test_ladder_has_a_row_of_panels_for_each_robot(tmp_path: Path) -> None:
+    rows = [
+        cell("oracle", direction, riser, 0.3, rate, robot=robot, policy=policy, condition=name, ci95=[rate / 2, 1.0])
+        for robot in ("aliengo", "a1")
+        for policy, rate in (("aliengo", 0.9), ("zero", 0.2))
+        for direction in ("up", "down")
+        for name, riser in (("rung", 0.15), ("rung", 0.2), ("steep", [0.18, 0.2]))
+    ]
+    draw_ladder(rows, tmp_path / "both.png")
+    draw_ladder([row for row in rows if row["robot"] == "a1"], tmp_path / "one.png")
+    both, one = iio.imread(tmp_path / "both.png"), iio.imread(tmp_path / "one.png")
+    assert both.shape[0] == 2 * one.shape[0] and both[..., :3].std() > 10
+    with pytest.raises(ValueError, match="ladder"):
+        draw_ladder([], tmp_path / "none.png")
