@@ -18,7 +18,6 @@ from stair_env.observation import PROPRIO_SLICES
 from stair_env.onboard.memory import MEMORY_BOUND, MEMORY_KEY, MEMORY_SIZE, Memory
 from stair_env.robots import DEFAULT_ROBOT, NUM_JOINTS, get_robot
 
-NEEDED_KEYS = ("proprio", "stair")
 JOINT_PROPRIO_SIZE = PROPRIO_SLICES["last_action"].start + NUM_JOINTS
 
 
@@ -118,10 +117,6 @@ def remembering_space(space: gym.Space[Any]) -> spaces.Dict:
         SpecError: the observation lacks what is remembered.
     """
     parts = space.spaces if isinstance(space, spaces.Dict) else {}
-    missing = [key for key in NEEDED_KEYS if key not in parts]
-    if missing or parts["proprio"].shape != (JOINT_PROPRIO_SIZE,):
-        raise SpecError(
-            f"memory=True needs observations with {' and '.join(NEEDED_KEYS)} of an environment with "
-            f'actuation="joint", got {space}'
-        )
+    if "proprio" not in parts or parts["proprio"].shape != (JOINT_PROPRIO_SIZE,):
+        raise SpecError(f'memory=True needs an environment with actuation="joint" and its `proprio`, not {space}')
     return spaces.Dict({**parts, MEMORY_KEY: memory_space()})

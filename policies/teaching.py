@@ -24,7 +24,10 @@ TEACHER_KEY = "teacher_action"  # of the info
 FREQUENCY = ACTION_SIZE - 2  # of the gait's action: factor on the stride's frequency
 LISTENING = 0.3  # share of the phase error that the teacher tries to make good in a control step
 HEARING = 0.3  # share of the newest in the phase error that it hears
+EDGE_DOUBT_M = 0.04  # so near an edge the foot's height says on which side of it the foot stands
 AGREEMENT = 0.25  # share of the way to the student's foothold that the teacher's goes in a control step
+LOST = 0.12  # root mean square difference to the teacher's action, over half a second: beyond, no advice helps
+LOSING = 0.05  # share of the newest in it
 LEAST_MOTION_RAD = 0.02  # of the targets in a control step; slower ones do not tell the phase
 
 _GRAVITY, _JOINTS = PROPRIO_SLICES["gravity"], PROPRIO_SLICES["joint_position"]
@@ -32,22 +35,25 @@ _VELOCITY = PROPRIO_SLICES["velocity"]
 
 
 class ListeningGait(Gait):
-    """A gait whose standing feet are where the student put them."""
+    """A gait whose standing feet are where the student put them, on the tread that is there."""
 
     def agree(self, joint_targets: np.ndarray) -> None:
-        """Take over where the student's feet stand, apart from their height, which the stairs decide.
+        """Take over where the student's feet stand.
 
         Args:
             joint_targets: (12,) that the student asked for, radians.
         """
+        base = self._height + self.robot.stand_height
         cos, sin = math.cos(self._pitch), math.sin(self._pitch)
         for leg, (x, y, z) in enumerate(self._kinematics.foot_positions(joint_targets).tolist()):
             if self._in_swing[leg]:
                 continue
-            foot = self._feet[leg]
-            forward = cos * x + sin * z  # in the walking frame
-            foot[0] += AGREEMENT * (forward - foot[0])
-            foot[1] += AGREEMENT * (y - foot[1])
+            foot, forward, up = self._feet[leg], cos * x + sin * z, cos * z - sin * x + base  # in the walking frame
+            s = self._along_stairs(forward, y)
+            levels = self.map.height_at(s - EDGE_DOUBT_M), self.map.height_at(s + EDGE_DOUBT_M), foot[2]
+            ground = min(levels, key=lambda level: abs(level - up))
+            for axis, value in enumerate((forward, y, ground)):
+                foot[axis] += AGREEMENT * (value - foot[axis])
 
 
 class Teaching(gym.Wrapper[Any, np.ndarray, Any, np.ndarray]):
@@ -74,17 +80,19 @@ class Teaching(gym.Wrapper[Any, np.ndarray, Any, np.ndarray]):
         down_x, _, down_z = proprio[_GRAVITY].tolist()
         self._gait.reset(heights - heights[0], phase=0.0, pitch=float(np.arctan2(down_x, -down_z)))
         self._advice = self._last_advice = np.asarray(self._actions.action_for(proprio[_JOINTS]))
-        self._ahead = 0.0
+        self._ahead = self._gap = 0.0
         return observation, self._teach(observation, info)
 
     def step(self, action: np.ndarray) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """One control step with the student's action."""
+        """One control step with the student's action; an episode in which the student is lost is cut short."""
         self._listen(np.asarray(action, np.float64))
         observation, reward, terminated, truncated, info = self.env.step(action)
+        truncated = truncated or self._gap > LOST**2
         return observation, reward, terminated, truncated, self._teach(observation, info)
 
     def _listen(self, action: np.ndarray) -> None:
         """How many control steps the student is ahead of the teacher (negative: behind), along the teacher's motion."""
+        self._gap += LOSING * (float(np.mean((action - self._advice) ** 2)) - self._gap)
         motion = self._advice - self._last_advice
         speed = float(motion @ motion)
         ahead = float((action - self._advice) @ motion) / max(speed, LEAST_MOTION_RAD**2)

@@ -14,13 +14,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from stair_env.common.constants import CONTROL_DT
-from stair_env.observation import PROPRIO_SLICES, StairBlock
+from stair_env.observation import NO_STAIRS, PROPRIO_SLICES, StairBlock
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.onboard.proprioception import base_to_level
 from stair_env.onboard.step_map import StepMap
 from stair_env.robots import NUM_JOINTS, RobotSpec
 
-MEMORY_KEY = "memory"  # of the observation
+MEMORY_KEY, STAIR_KEY = "memory", "stair"  # of the observation
 LAGS = (1, 2, 4, 7, 11, 16)  # control steps ago; a stride of the trot that teaches takes 12 to 16 of them
 MOMENT_FIELDS = ("last_action", "velocity", "gravity", "yaw_rate", "contact")  # of the proprioception
 AXLE_FIELDS = ("behind_distance", "behind_rise", "ahead_distance", "ahead_rise")  # of the nearest edge on each side
@@ -65,7 +65,7 @@ class Memory:
         """Take in the next observation.
 
         Args:
-            observation: `proprio`, whose last action has twelve numbers, and `stair` (any fields of zeros if blind).
+            observation: `proprio`, whose last action has twelve numbers, and `stair`; without that, no edges are known.
 
         Returns:
             (MEMORY_SIZE,) float32: the moments at LAGS, each of MOMENT_FIELDS; then for the front
@@ -79,7 +79,7 @@ class Memory:
         return self._recall(observation)
 
     def _recall(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        block = StairBlock(*observation["stair"].tolist())
+        block = StairBlock(*observation[STAIR_KEY].tolist()) if STAIR_KEY in observation else NO_STAIRS
         if block.valid >= 0.5:
             self._heading_error = block.heading_error
         else:

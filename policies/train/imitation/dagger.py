@@ -28,7 +28,7 @@ from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
 from stair_env.common.files import atomic_path, provenance, write_json
-from stair_env.onboard.memory import MEMORY_KEY
+from stair_env.onboard.memory import STAIR_KEY
 
 if TYPE_CHECKING:
     import torch
@@ -39,10 +39,10 @@ LOGGER = logging.getLogger(__name__)
 
 CONFIG_FILE, CARD_FILE, CURVE_FILE = "config.json", "card.json", "curve.csv"
 FINAL_FOLDER, CHECKPOINT_FOLDER, ROUND_FOLDER = "final", "checkpoints", "rounds"
-NORMALISED_KEYS = ("proprio", MEMORY_KEY)
 LOG_STD_INIT = -3.0  # of the student's exploration, should PPO go on: exp(-3) = 0.05 of the action scale
 NOISE_MEMORY = 0.9  # share of the teacher's noise that lasts into the next control step; white noise makes feet slip
 GAMMA = 0.99
+OUTLIER = 0.1  # of the action: advice farther off counts in proportion, not squared; mostly it comes too late
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,8 @@ def fit(model: PPO, lessons: list[Lesson], updates: int, config: ImitationConfig
         rng: draws the batches.
 
     Returns:
-        Root mean square of the difference over the last tenth of the batches, in units of the action.
+        Root of the mean squared difference, with outliers' capped, over the last tenth of the batches, in units of the
+        action.
     """
     import torch
 
@@ -240,12 +241,12 @@ def fit(model: PPO, lessons: list[Lesson], updates: int, config: ImitationConfig
     for _ in range(updates):
         rows = torch.as_tensor(rng.integers(0, len(advice), config.batch_size))
         mean = policy.action_net(policy.mlp_extractor.forward_actor(features[rows]))
-        loss = torch.nn.functional.mse_loss(mean, advice[rows])
+        loss = torch.nn.functional.smooth_l1_loss(mean, advice[rows], beta=OUTLIER)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         schedule.step()
-        losses.append(float(loss.detach()))
+        losses.append(float(loss.detach()) * 2 * OUTLIER)
     return float(np.sqrt(np.mean(losses[-max(updates // 10, 1) :])))
 
 
@@ -294,7 +295,8 @@ def _new_model(config: ImitationConfig, venv: Any) -> PPO:
 
     from policies.features import StairActorCriticPolicy
 
-    normalised = normalise(venv, gamma=GAMMA, options={"norm_obs_keys": list(NORMALISED_KEYS)})
+    keys = [key for key in venv.observation_space.spaces if key != STAIR_KEY]  # which the policy scales by itself
+    normalised = normalise(venv, gamma=GAMMA, options={"norm_obs_keys": keys})
     normalised.training = False
     return PPO(
         StairActorCriticPolicy,
