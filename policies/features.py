@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from stair_env.common.importing.extras import naming_extras
-from stair_env.observation import PRIVILEGED_KEY, STAIR_FIELDS
+from stair_env.observation import PRIVILEGED_KEY, STAIR_FIELDS, STAIR_KEY
 
 with naming_extras():
     import torch
@@ -21,8 +21,6 @@ with naming_extras():
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.sac.policies import MultiInputPolicy as SacMultiInputPolicy
     from stable_baselines3.td3.policies import MultiInputPolicy as Td3MultiInputPolicy
-
-STAIR_KEY = "stair"
 
 # (middle, half span) of what each field takes on real stairs: treads 0.22-0.38 m, risers 0.05-0.19 m, an edge
 # within a tread or so, a heading error of some 15 degrees, a measurement as old as a slow camera makes it.

@@ -16,8 +16,9 @@ from stair_env.common.validation import check_choice, read_action
 from stair_env.observation import StairBlock, pack_proprio, proprio_space, stair_space
 from stair_env.onboard.gait import GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.onboard.planner import GaitPlanner, make_planner
+from stair_env.onboard.planner import GaitPlanner, JointActuation, make_planner
 from stair_env.onboard.proprioception import Proprioception
+from stair_env.physics.motors import Actuator, MotorBody, PdActuator, make_motors
 from stair_env.physics.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
 from stair_env.robots import RobotSpec, get_robot
 from stair_env.scene.shapes import Shape, build_stair_shapes
@@ -27,7 +28,7 @@ from stair_env.sensors.imu import ImuConfig, MountedImu
 from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import read_curriculum
 from stair_env.task.disturbances import CommandLatency, Pushes
-from stair_env.task.observation_terms import ObservationTerm, read_observations
+from stair_env.task.observation_terms import read_observations
 from stair_env.task.randomization import read_randomization
 from stair_env.task.rewards import RewardTerm, read_rewards
 from stair_env.task.sources import ExternalSource, StairSource, make_source, observe_stairs
@@ -35,6 +36,7 @@ from stair_env.task.spawn import SPAWNS, Spawn, draw_spawn, read_reset_options, 
 from stair_env.task.stair_ranges import StairRanges, StairSampler, draw_sampled, read_sampler
 from stair_env.task.step_state import Episode, StepRecorder, StepState
 from stair_env.task.termination import TerminationFunction, read_terminations
+from stair_env.task.terms.commands import read_command
 
 SETTLE_STEPS = 12  # control steps to stand still before the episode begins
 RENDER_MODES = ("human", "rgb_array", "depth_array")
@@ -46,7 +48,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     Observation: Dict of `proprio` (`stair_env.observation.PROPRIO_FIELDS`) and `stair` (`STAIR_FIELDS`), with
     privileged=True also `privileged` (`stair_env.task.privileged.PRIVILEGED_FIELDS`).
     Action: Box [-1, 1]: modulation of the gait and foot residuals (`stair_env.onboard.gait.GaitAction`), or with
-    actuation="joint" twelve joint offsets from standing.
+    actuation="joint" twelve joint offsets from standing (`stair_env.onboard.planner.JointActuation`).
 
     Parts are taken by name, which keeps `spec.to_json()` possible, or as objects (`stair_env.parts`). Objects travel to
     worker processes by cloudpickle, and each environment works with a copy of its own.
@@ -58,7 +60,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         num_steps: a number or [low, high].
         lighting: "day", "night" or "random"; matters to cameras.
         camera: renderer and sensor options; matters to the RGBD environment.
-        actuation: "gait" or "joint".
+        actuation: "gait", or "joint", a JointActuation or its fields for no gait.
+        actuator: "position" (Bullet's motors), "pd" (torques at the physics rate), a PdActuator or its fields, or an
+            Actuator (`stair_env.physics.motors`). None takes "pd" without a gait, else "position".
+        command: velocity to follow, a part of the observation that the gait does not read: forward m/s, a number or
+            [low, high]; or fields of `stair_env.task.terms.commands.CommandConfig`.
         gait: "trot", a GaitConfig, a GaitPlanner, or what makes one for a RobotSpec.
         stair_source: what fills the stair block (`stair_env.task.sources`): a name, or a StairSource.
         render_mode: "human", "rgb_array", "depth_array" or None.
@@ -68,10 +74,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         uneven: largest deviation of single risers and treads, metres.
         flight_width: metres.
         reward_weights: fields of `RewardWeights` to change.
-        rewards: by name: a RewardTerm adds or replaces a term, a number is a default term's weight, None switches a
-            default term off.
+        rewards: by name: a RewardTerm adds or replaces a term, a number is a default or an optional term's weight
+            (`stair_env.task.terms.legged_rewards`), None switches a default term off.
         terminations: by name: a function of a StepState adds or replaces a way to end, None switches a default one off.
-        observations: by name: an ObservationTerm adds a part of the observation, None leaves one out.
+        observations: "stairs"; "height_scan" or "proprio" for a scan or nothing in the block's place; or by name: an
+            ObservationTerm adds a part of the observation, None leaves one out.
         sampler: draws staircases or scenes in place of direction, riser_height, tread_depth, num_steps, flight_width
             and uneven: an object with sample(rng), for example a `stair_env.sampling.SceneSampler`.
         privileged: add what only the simulator knows to the observation, for a critic or a teacher.
@@ -96,7 +103,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         num_steps: Any = (4, 7),
         lighting: str = "day",
         camera: dict[str, Any] | None = None,
-        actuation: str = "gait",
+        actuation: str | Mapping[str, Any] | JointActuation = "gait",
         stair_source: str | StairSource = "oracle",
         render_mode: str | None = None,
         curriculum: Any = None,
@@ -109,8 +116,10 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         gait: str | GaitConfig | GaitPlanner | Callable[[RobotSpec], GaitPlanner] = "trot",
         rewards: Mapping[str, RewardTerm | float | None] | None = None,
         terminations: Mapping[str, TerminationFunction | None] | None = None,
-        observations: Mapping[str, ObservationTerm | None] | None = None,
+        observations: str | Mapping[str, Any] | None = None,
         sampler: StairSampler | None = None,
+        command: Any = None,
+        actuator: str | Mapping[str, Any] | PdActuator | Actuator | Callable[[RobotSpec], Actuator] | None = None,
     ) -> None:
         self.robot = get_robot(robot)
         self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
@@ -118,23 +127,24 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         check_choice("spawn", spawn, SPAWNS)
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
-        self.lighting, self.actuation, self.spawn = lighting, actuation, spawn
+        self.lighting, self.actuation, self.spawn, self.render_mode = lighting, actuation, spawn, render_mode
         if camera is not None:  # of no matter here, but a wrong option is one on every id
             from stair_env.sensors.camera.sensor import CameraConfig
 
             CameraConfig.from_dict(camera)
-        self.render_mode = render_mode
         self.randomization = read_randomization(randomization)
         self.curriculum = read_curriculum(curriculum, self.ranges.riser_height[1])
         self.sampler = read_sampler(sampler, self.curriculum)
         self.source = make_source(stair_source)
         self.gait = make_planner(gait, actuation, self.robot)
+        self._motors = make_motors(actuator, self.robot, "position" if actuation == "gait" else "pd")
         self.rewards = read_rewards(rewards, reward_weights)
         self.terminations = read_terminations(terminations)
-        self.action_size = self.gait.action_size
+        self.action_size, self.privileged = self.gait.action_size, privileged
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_size,), np.float32)
-        self.privileged = privileged
-        self._observations = read_observations(observations, privileged, self._sensed_spaces())
+        self._commands = read_command(command)
+        commanded = self._commands.config is not None
+        self._observations = read_observations(observations, privileged, self._sensed_spaces(), commanded)
         self.observation_space = self._observations.space
         self._unreported = False  # whether an episode is under way that the curriculum has not heard of
         self._sim: Simulation | None = None
@@ -167,18 +177,21 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             drawn = {"x": float(spawn.position[0]), "y": float(spawn.position[1]), "yaw": spawn.yaw}
             spawn = standing_at(self.stairs, self.robot, **(drawn | start))
         body = self.randomization.draw(self.np_random)
-        episode = Episode(self.stairs, self.profile, self.robot, body, float(spawn.position[0]))
         # Separate generators keep episodes of one seed alike across ids, whatever the sensors draw.
         seeds = self.np_random.integers(0, 2**63, size=4)
         source_rng, imu_rng, body_rng, camera_rng = (np.random.default_rng(s) for s in seeds)
+        motor_rng, command_rng = body_rng.spawn(2)
+        episode = Episode(self.stairs, self.profile, self.robot, body, float(spawn.position[0]), int(seeds[2]))
         self._build(episode, self._world_shapes(self.stairs, camera_rng))
-        targets = self._stand(spawn)
+        targets = self._stand(spawn, self.randomization.draw_motors(body.motor_strength, motor_rng))
         self._begin_walk(targets, spawn, imu_rng, body_rng)
         self.source.reset(self.stairs, source_rng)
         self._begin_sensors(camera_rng)
         self._observe_stairs()
         self._recorder = StepRecorder(episode, self.action_size)
-        self.state = self._recorder.begin(self._base, self._reading, targets, self._truth, self._block, CONTROL_DT)
+        command = self._commands.reset(command_rng)
+        begun = self._base, self._reading, targets, self._truth, self._block, CONTROL_DT, command
+        self.state = self._recorder.begin(*begun)
         self._unreported = False
         return self._observation(), self._info(dict.fromkeys(self.rewards.terms, 0.0), "")
 
@@ -197,7 +210,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._sim.build(shapes, episode.body.friction)
         self._sim.set_payload(episode.body.payload_kg)
 
-    def _stand(self, spawn: Spawn) -> np.ndarray:
+    def _stand(self, spawn: Spawn, body: MotorBody) -> np.ndarray:
         """Stand the robot up and let it settle, so that the first accelerometer reading is one at rest.
 
         Returns:
@@ -207,9 +220,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         assert sim is not None
         joints = self._kinematics.joint_angles(spawn.feet_in_base)
         sim.place_robot(spawn.position, spawn.yaw, joints, spawn.pitch)
-        for _ in range(SETTLE_STEPS * SUBSTEPS):
-            sim.command_joints(joints)
-            sim.step_physics()
+        self._motors.reset(sim, body, joints)
+        self._motors.hold(joints, SETTLE_STEPS * SUBSTEPS)
         self.time_s, self._energy = 0.0, 0.0
         self._track, self._reading = sim.begin_track(), sim.read_robot()
         self._base = self._track.last
@@ -263,9 +275,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         joints, touching = self._reading.joint_positions, self._reading.contacts.touching
         self._proprioception.update(self._imu.read(self._track), joints, touching, CONTROL_DT)
         self._observe_stairs()
-        state = self._recorder.record(
-            self.time_s, self._base, self._reading, targets, action, self._truth, self._block, CONTROL_DT
-        )
+        done = self._base, self._reading, targets, action, self._truth, self._block, CONTROL_DT
+        state = self._recorder.record(self.time_s, *done, self._commands.at(self.time_s))
         termination = self.terminations.reason(state)
         self.state = state if not termination else state._replace(termination=termination)
         terms = self.rewards.weighted(self.state)
@@ -282,11 +293,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         """Bring planned joint targets to the motors and let time pass."""
         sim = self._sim
         assert sim is not None
-        sim.command_joints(self._latency.deliver(targets), self._episode.body.motor_strength)
+        self._motors.command(self._latency.deliver(targets))
         push = self._pushes.due(self.time_s)
         if push is not None:
             sim.push(push)
-        self._track = sim.step_and_track(SUBSTEPS)
+        self._track = self._motors.advance(SUBSTEPS)
         self._base = self._track.last
         self.time_s += CONTROL_DT
 

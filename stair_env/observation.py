@@ -25,6 +25,7 @@ STAIR_FIELDS = (
     "age",  # seconds since the measurement
     "confidence",  # 0..1
 )
+STAIR_KEY = "stair"  # of the observation
 PRIVILEGED_KEY = "privileged"  # of the observation: see `stair_env.task.privileged`
 STAIR_LOW = np.array([0, -1, 0, 0, -1, -math.pi / 2, 0, 0], np.float32)
 STAIR_HIGH = np.array([1, 1, 1, 0.5, 5, math.pi / 2, 5, 1], np.float32)

@@ -17,7 +17,7 @@ from stair_env.common.validation import SpecError, check_choice, check_range
 from stair_env.scene.shapes import IDENTITY, Quaternion, Vector3
 
 LEGS = ("FR", "FL", "RR", "RL")
-NUM_JOINTS = 12
+JOINTS_PER_LEG, NUM_JOINTS = 3, 12
 LEG_SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # y sign of each leg
 
 
@@ -52,6 +52,9 @@ class RobotSpec:
         camera: mount of the D435i.
         joint_signs, joint_offsets: (12,) translation to the URDF's angles.
         base_orientation: rotation from the URDF's base link to the canonical base frame, quaternion.
+        kp, kd: gains of joints under PD control, N·m/rad and N·m·s/rad; 0 takes 5 times max_torque, and kp / 80.
+        max_speed: of each joint, rad/s.
+        rotor_inertia: of each motor as seen at its joint, kg·m² (models of such robots take 0.005 to 0.01).
     """
 
     name: str
@@ -71,8 +74,14 @@ class RobotSpec:
     joint_signs: tuple[float, ...] = (1.0,) * NUM_JOINTS
     joint_offsets: tuple[float, ...] = (0.0,) * NUM_JOINTS
     base_orientation: Quaternion = IDENTITY
+    kp: float = 0.0
+    kd: float = 0.0
+    max_speed: float = 20.0
+    rotor_inertia: float = 0.01
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "kp", self.kp or 5.0 * self.max_torque)
+        object.__setattr__(self, "kd", self.kd or self.kp / 80.0)
         for name, length in (("joint_names", 12), ("toe_names", 4), ("joint_signs", 12), ("joint_offsets", 12)):
             if len(getattr(self, name)) != length:
                 raise SpecError(f"{name} of robot {self.name!r} has {len(getattr(self, name))} entries, needs {length}")
@@ -118,6 +127,9 @@ _ALIENGO = RobotSpec(
     max_torque=44.4,
     mass=20.6,
     camera=CameraMount(position=(0.34, 0.0, 0.06), pitch_down_rad=0.40),
+    kp=250.0,
+    kd=3.0,
+    max_speed=20.0,
 )
 _A1 = RobotSpec(
     name="a1",
@@ -134,6 +146,9 @@ _A1 = RobotSpec(
     max_torque=33.5,
     mass=12.5,
     camera=CameraMount(position=(0.27, 0.0, 0.05), pitch_down_rad=0.40),
+    kp=120.0,
+    kd=1.5,
+    max_speed=21.0,
 )
 # Laikago's URDF has z forward and y up, and zero angles with the thigh 0.599 rad behind the vertical and the shank
 # 0.088 rad behind it. Its right abduction axes point backwards. Hip offsets: 0.0329 m right, 0.0352 m left; the mean.
@@ -159,6 +174,8 @@ _LAIKAGO = RobotSpec(
     joint_signs=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0) * 2,
     joint_offsets=(0.0, -0.5990, 0.5112) * 4,
     base_orientation=(-0.5, -0.5, -0.5, 0.5),
+    kp=300.0,
+    kd=4.0,
 )
 # The Mini Cheetah's URDF gives its motors no torque; 17 N·m is what its designer measured (Katz, Di Carlo and Kim,
 # "Mini Cheetah", ICRA 2019). Thighs and knees turn about -y. The camera sits before the front hips.
@@ -182,6 +199,9 @@ _MINI_CHEETAH = RobotSpec(
     mass=8.9,
     camera=CameraMount(position=(0.24, 0.0, 0.04), pitch_down_rad=0.40),
     joint_signs=(1.0, -1.0, -1.0) * 4,
+    kp=80.0,
+    kd=1.0,
+    max_speed=40.0,
 )
 
 DEFAULT_ROBOT = "aliengo"

@@ -284,3 +284,37 @@ def digitise(values: np.ndarray, quantum: np.ndarray, limit: np.ndarray) -> None
             if quantum[i] > 0.0:
                 value = np.rint(value * (1.0 / quantum[i])) * quantum[i]
             values[k, i] = max(min(value, limit[i]), -limit[i])
+
+
+@njit(float64[::1](FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, float64), cache=True, nogil=True)
+def pd_torques(
+    targets: np.ndarray,
+    rates: np.ndarray,
+    positions: np.ndarray,
+    velocities: np.ndarray,
+    kp: np.ndarray,
+    kd: np.ndarray,
+    max_torque: np.ndarray,
+    max_speed: np.ndarray,
+    corner: float,
+) -> np.ndarray:
+    """Torques of motors under PD control, limited by torque and speed; all (n,).
+
+    Args:
+        targets, positions: radians.
+        rates, velocities: of the targets and of the joints, rad/s.
+        kp, kd: N·m/rad, N·m·s/rad.
+        max_torque: N·m.
+        max_speed: at which nothing is left of it in the direction of motion, rad/s.
+        corner: share of max_speed up to which all of it is there.
+    """
+    torques = np.empty_like(positions)
+    for joint in range(len(torques)):
+        velocity = velocities[joint]
+        wanted = kp[joint] * (targets[joint] - positions[joint]) + kd[joint] * (rates[joint] - velocity)
+        limit = max_torque[joint]
+        left = (1.0 - abs(velocity) / max_speed[joint]) / (1.0 - corner)
+        forward = limit * min(max(left, 0.0), 1.0)  # in the direction of motion
+        highest, lowest = (forward, limit) if velocity >= 0.0 else (limit, forward)
+        torques[joint] = min(max(wanted, -lowest), highest)
+    return torques

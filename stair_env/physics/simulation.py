@@ -7,9 +7,8 @@ indices, inertial frames and joint conventions.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pybullet
@@ -22,18 +21,14 @@ from stair_env.common.constants import GRAVITY_M_S2
 from stair_env.common.constants import PHYSICS_RATE_HZ as PHYSICS_RATE_HZ
 from stair_env.common.constants import SUBSTEPS as SUBSTEPS
 from stair_env.common.validation import SpecError, check_choice
-from stair_env.physics.body_kernels import (
-    ANGULAR_VELOCITY,
-    POSITION,
-    READING_WIDTH,
-    ROTATION,
-    TRACK_WIDTH,
-    VELOCITY,
-    feel,
-    trace_trunk,
-)
+from stair_env.physics.body_kernels import READING_WIDTH, TRACK_WIDTH, trace_trunk
 from stair_env.physics.bullet_client import QuietBulletClient
 from stair_env.physics.display import display_problem
+from stair_env.physics.readings import BaseState as BaseState
+from stair_env.physics.readings import BaseTrack as BaseTrack
+from stair_env.physics.readings import FootContacts as FootContacts
+from stair_env.physics.readings import RobotReading as RobotReading
+from stair_env.physics.readings import base_to_world as base_to_world
 from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
@@ -50,101 +45,6 @@ SHAPE_COLOURS = {
 DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
 
 _LOGGER = logging.getLogger(__name__)
-
-
-class BaseState(NamedTuple):
-    """Trunk state in the world frame.
-
-    Attributes:
-        position: (3,) origin of the canonical base frame, metres.
-        rotation: (3, 3) base to world.
-        velocity: (3,) of the origin, m/s.
-        angular_velocity: (3,) rad/s.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    velocity: np.ndarray
-    angular_velocity: np.ndarray
-
-    @property
-    def yaw(self) -> float:
-        """Heading about world z, radians."""
-        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
-
-
-class BaseTrack(NamedTuple):
-    """True motion of the trunk over k physics steps, from which inertial sensors read.
-
-    Rows are (18,) float64: position (3,), rotation base to world (9,) row by row, velocity (3,) and angular velocity
-    (3,), see `stair_env.physics.body_kernels.trace_trunk`.
-
-    Attributes:
-        start: (18,) before the first step.
-        rows: (k, 18) after each step.
-    """
-
-    start: np.ndarray
-    rows: np.ndarray
-
-    @property
-    def last(self) -> BaseState:
-        """The newest state, read-only; without any step the one at the start."""
-        row = self.rows[-1] if len(self.rows) else self.start[:]
-        row.setflags(write=False)  # of this view of it
-        return BaseState(
-            position=row[POSITION:ROTATION],
-            rotation=row[ROTATION:VELOCITY].reshape(3, 3),
-            velocity=row[VELOCITY:ANGULAR_VELOCITY],
-            angular_velocity=row[ANGULAR_VELOCITY:],
-        )
-
-    def felt_at(self, lever_arm: np.ndarray, sensor_to_base: np.ndarray) -> np.ndarray:
-        """Specific force and angular velocity that a sensor fixed to the trunk undergoes.
-
-        Args:
-            lever_arm: (3,) sensor in the base frame, metres.
-            sensor_to_base: (3, 3) rotation.
-
-        Returns:
-            (k, 6) float64, one row per physics step: specific force, m/s², and angular velocity, rad/s, in the
-            sensor's axes. At rest and level the force points up with 9.81 m/s².
-        """
-        rate_hz = float(PHYSICS_RATE_HZ)
-        felt: np.ndarray = feel(self.start, self.rows, lever_arm, sensor_to_base.ravel(), rate_hz, GRAVITY_M_S2)
-        return felt
-
-
-class FootContacts(NamedTuple):
-    """Contacts of one control step's last physics step.
-
-    Attributes:
-        touching: (4,) bool.
-        force: (4, 3) force of the ground on each foot, world frame, newtons.
-        body_touches: whether any other part of the robot touches something.
-    """
-
-    touching: np.ndarray
-    force: np.ndarray
-    body_touches: bool
-
-
-class RobotReading(NamedTuple):
-    """Joints and feet at the end of a control step.
-
-    Attributes:
-        joint_positions: (12,) canonical angles, radians.
-        joint_velocities: (12,) rad/s.
-        joint_torques: (12,) of the motors in the last physics step, N·m.
-        contacts: of the feet.
-        feet: (4, 3) foot centres, world frame, metres.
-    """
-
-    joint_positions: np.ndarray
-    joint_velocities: np.ndarray
-    joint_torques: np.ndarray
-    contacts: FootContacts
-    feet: np.ndarray
 
 
 class Simulation:
@@ -168,6 +68,9 @@ class Simulation:
         self.body = -1
         self.ground: list[int] = []
         self._last_targets = np.zeros(NUM_JOINTS)
+        self._applied: np.ndarray | None = (
+            None  # torques of the last physics step, where they and no motors drive joints
+        )
         self._last_row = np.zeros(TRACK_WIDTH)  # of the trunk, where the next track begins
         self._signs = np.array(robot.joint_signs)
         self._offsets = np.array(robot.joint_offsets)
@@ -192,6 +95,7 @@ class Simulation:
         """
         client = self.client
         client.resetSimulation()
+        self._applied = None
         client.setAdditionalSearchPath(pybullet_data.getDataPath())
         client.setGravity(0, 0, -GRAVITY_M_S2)
         client.setTimeStep(1.0 / PHYSICS_RATE_HZ)
@@ -309,6 +213,47 @@ class Simulation:
             forces=[strength * self.robot.max_torque] * NUM_JOINTS,
         )
 
+    def add_rotor_inertia(self, rotor_inertia: np.ndarray) -> None:
+        """Make joints as heavy to speed up as motors behind their gears are; a fresh world has forgotten it.
+
+        Bullet knows no armature: the links that the joints move get the inertia, about the joints' axes.
+
+        Args:
+            rotor_inertia: (12,) as seen at the joints, kg·m².
+        """
+        for joint, inertia in zip(self._joints, rotor_inertia):
+            dynamics, axis = (
+                self.client.getDynamicsInfo(self.body, joint),
+                self.client.getJointInfo(self.body, joint)[13],
+            )
+            principal = np.array(self.client.getMatrixFromQuaternion(dynamics[4])).reshape(3, 3).T @ np.array(axis)
+            diagonal = np.array(dynamics[2]) + inertia * principal**2
+            self.client.changeDynamics(self.body, joint, localInertiaDiagonal=diagonal.tolist())
+
+    def release_joints(self) -> None:
+        """Switch Bullet's motors off, which brake joints unless told; from here on torques move them."""
+        self._set_motors(self.body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * NUM_JOINTS)
+        self._applied = np.zeros(NUM_JOINTS)
+
+    def step_under_torques(self, torques: Callable[[np.ndarray, np.ndarray], np.ndarray], steps: int) -> BaseTrack:
+        """Advance some physics steps under torques that are computed anew before each.
+
+        Args:
+            torques: of canonical angles (12,) rad and velocities (12,) rad/s: canonical torques (12,) N·m.
+            steps: of 1/240 s.
+        """
+        readings: list[float] = []
+        signs, zeros = self._signs, self._joint_zeros[:2]
+        for _ in range(steps):
+            angles, velocities, _, _ = zip(*self._joint_states(self.body, self._joints))
+            angles, velocities = signs * (np.array([angles, velocities]) - zeros)
+            self._applied = torques(angles, velocities)
+            forces = (signs * self._applied).tolist()
+            self._set_motors(self.body, self._joints, pybullet.TORQUE_CONTROL, forces=forces)
+            self._step_simulation()
+            readings += self._read_trunk()
+        return self._tracked(readings)
+
     def step_physics(self) -> None:
         """Advance one physics step of 1/240 s."""
         self._step_simulation()
@@ -319,6 +264,10 @@ class Simulation:
         for _ in range(steps):
             self._step_simulation()
             readings += self._read_trunk()
+        return self._tracked(readings)
+
+    def _tracked(self, readings: Sequence[float]) -> BaseTrack:
+        """The track of some readings of the trunk; the next one continues from here."""
         track = BaseTrack(self._last_row, self._trace(readings))
         self._last_row = track.rows[-1]
         return track
@@ -358,7 +307,7 @@ class Simulation:
         """Canonical angles (12,) rad, velocities (12,) rad/s, and motor torques (12,) N·m of the last step."""
         angles, velocities, _, torques = zip(*self._joint_states(self.body, self._joints))
         angles, velocities, torques = self._signs * (np.array([angles, velocities, torques]) - self._joint_zeros)
-        return angles, velocities, torques
+        return angles, velocities, torques if self._applied is None else np.array(self._applied)
 
     def foot_positions(self) -> np.ndarray:
         """(4, 3) foot centres in the world frame, metres."""
@@ -386,10 +335,3 @@ class Simulation:
         """Keep Bullet's window on the robot (GUI only)."""
         if self._gui:
             self.client.resetDebugVisualizerCamera(1.8, yaw_deg, -20.0, list(position))
-
-
-def base_to_world(state: BaseState) -> np.ndarray:
-    """(4, 4) pose of the base."""
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = state.rotation, state.position
-    return transform

@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.common.validation import SpecError, check_choice
-from stair_env.observation import PRIVILEGED_KEY
+from stair_env.common.validation import SpecError, check_choice, from_mapping
+from stair_env.observation import PRIVILEGED_KEY, STAIR_KEY
 from stair_env.task.privileged import pack_privileged, privileged_space
 from stair_env.task.step_state import StepState
+from stair_env.task.terms.commands import COMMAND_KEY, command_space, pack_command
+from stair_env.task.terms.height_scan import HEIGHT_SCAN_KEY, HeightScan, HeightScanConfig, height_scan_space
 
+OBSERVATION_SETS = ("stairs", "height_scan", "proprio")
 ObservationFunction = Callable[[StepState], np.ndarray]
 
 
@@ -77,29 +80,41 @@ class Observations:
 
 
 def read_observations(
-    observations: Mapping[str, Any] | None, privileged: bool, sensed: Mapping[str, spaces.Space[Any]]
+    observations: str | Mapping[str, Any] | None,
+    privileged: bool,
+    sensed: Mapping[str, spaces.Space[Any]],
+    commanded: bool = False,
 ) -> Observations:
     """Build an environment's observation: what its sensors give, with changes.
 
     Args:
-        observations: by name: an ObservationTerm adds a part, None leaves out one that the sensors give. Each
-            environment takes a copy.
+        observations: name in OBSERVATION_SETS: with the stair block, or a height scan or nothing in its place. Or by
+            name: an ObservationTerm adds a part, None leaves out one that the sensors give, and "height_scan" takes
+            fields of HeightScanConfig. Each environment takes a copy.
         privileged: whether there is the privileged block.
         sensed: space of each part that the sensors give.
+        commanded: whether there is a velocity command.
 
     Raises:
         SpecError: a name or a value is wrong; the message names argument, value and choices.
     """
     if not isinstance(privileged, bool):
         raise SpecError(f"privileged={privileged!r} must be True or False")
+    if isinstance(observations, str):
+        observations = _named_set(observations, sensed)
     if not isinstance(observations, Mapping | None):
         raise SpecError(f"observations={observations!r} must be a mapping of names to ObservationTerms")
     terms = {PRIVILEGED_KEY: ObservationTerm(pack_privileged, privileged_space())} if privileged else {}
+    if commanded:
+        terms[COMMAND_KEY] = ObservationTerm(pack_command, command_space())
     hidden: set[str] = set()
     for name, value in (observations or {}).items():
         if value is None:
             check_choice("observations: part", name, tuple(sensed))
             hidden.add(name)
+        elif name == HEIGHT_SCAN_KEY and isinstance(value, Mapping):
+            scan = HeightScan(from_mapping("height_scan", HeightScanConfig, value))
+            terms[name] = ObservationTerm(scan, height_scan_space())
         elif not isinstance(value, ObservationTerm):
             raise SpecError(f"observations[{name!r}]={value!r} must be an ObservationTerm or None (left out)")
         elif name in sensed or name in terms:
@@ -107,6 +122,19 @@ def read_observations(
         else:
             terms[name] = ObservationTerm(_Checked(name, copy.deepcopy(value.fn), value.space), value.space)
     return Observations(sensed, hidden, terms)
+
+
+def _named_set(name: str, sensed: Mapping[str, Any]) -> dict[str, Any]:
+    """What a name in OBSERVATION_SETS stands for."""
+    check_choice("observations", name, OBSERVATION_SETS)
+    if name == "stairs":
+        return {}
+    if STAIR_KEY not in sensed:
+        raise SpecError(
+            f"observations={name!r} is for stair_env/StairClimb-v0; here say by name what to add, or to leave out "
+            f"of {', '.join(sensed)}"
+        )
+    return {STAIR_KEY: None, **({HEIGHT_SCAN_KEY: {}} if name == "height_scan" else {})}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stair_env.common.validation import as_range, check_range, from_mapping
+from stair_env.physics.motors import MotorBody
 
 Range = tuple[float, float]
 
@@ -38,6 +39,7 @@ class Randomization:
         push_interval_s: mean time between pushes; 0 means none.
         command_latency: chance that a control step's command arrives one step late.
         camera_tilt_rad: largest error of the camera's mounting pitch and roll.
+        stiffness, damping: factors on kp and kd, where joints are under PD control.
     """
 
     friction: Range = (0.7, 1.1)
@@ -47,12 +49,16 @@ class Randomization:
     push_interval_s: float = 4.0
     command_latency: float = 0.1
     camera_tilt_rad: float = 0.01
+    stiffness: Range = (0.9, 1.1)
+    damping: Range = (0.9, 1.1)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "friction", as_range("randomization.friction", self.friction, 0.1, 5.0))
         object.__setattr__(self, "payload_kg", as_range("randomization.payload_kg", self.payload_kg, -10.0, 30.0))
         strength = as_range("randomization.motor_strength", self.motor_strength, 0.1, 3.0)
         object.__setattr__(self, "motor_strength", strength)
+        for name in ("stiffness", "damping"):
+            object.__setattr__(self, name, as_range(f"randomization.{name}", getattr(self, name), 0.1, 3.0))
         check_range("randomization.push_speed", self.push_speed, 0.0, 5.0)
         check_range("randomization.push_interval_s", self.push_interval_s, 0.0, 1e4)
         check_range("randomization.command_latency", self.command_latency, 0.0, 1.0)
@@ -62,8 +68,12 @@ class Randomization:
         """One episode's body."""
         return Body(*(float(rng.uniform(*span)) for span in (self.friction, self.payload_kg, self.motor_strength)))
 
+    def draw_motors(self, strength: float, rng: np.random.Generator) -> MotorBody:
+        """One episode's motors, of a strength that was drawn before."""
+        return MotorBody(strength, *(float(rng.uniform(*span)) for span in (self.stiffness, self.damping)))
 
-NOMINAL = Randomization((0.9, 0.9), (0.0, 0.0), (1.0, 1.0), 0.0, 0.0, 0.0, 0.0)
+
+NOMINAL = Randomization((0.9, 0.9), (0.0, 0.0), (1.0, 1.0), 0.0, 0.0, 0.0, 0.0, (1.0, 1.0), (1.0, 1.0))
 
 
 def read_randomization(value: Any) -> Randomization:

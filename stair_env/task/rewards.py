@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from stair_env.common.validation import SpecError, check_choice
-from stair_env.task.step_state import FAILURES, StepState, distance_to_edge
+from stair_env.task.step_state import FAILURES, WANTED_SPEED, StepState, distance_to_edge
+from stair_env.task.terms.legged_rewards import OPTIONAL_REWARDS
 
-WANTED_SPEED = 0.35  # m/s; going faster earns nothing
 NOSING_DANGER_M = 0.03
 
 RewardFunction = Callable[[StepState], float]
@@ -61,7 +61,7 @@ REWARD_TERMS = tuple(field.name for field in fields(RewardWeights))
 
 
 def progress(state: StepState) -> float:
-    """Speed along the walking direction as a share of the wanted speed, -1 to 1."""
+    """Speed along the walking direction as a share of the wanted speed, -1 to 1; going faster earns nothing."""
     speed = (state.after.position[0] - state.before.position[0]) / state.dt_s
     return float(min(max(speed, -WANTED_SPEED), WANTED_SPEED)) / WANTED_SPEED
 
@@ -145,8 +145,9 @@ def read_rewards(
     """Build an environment's reward: the default terms with changes.
 
     Args:
-        rewards: by name: a RewardTerm adds a term or replaces a default one, a number is the weight of a default term,
-            None switches a default term off. Each environment takes a copy.
+        rewards: by name: a RewardTerm adds a term or replaces a default one, a number is the weight of a default or an
+            optional term (`stair_env.task.terms.legged_rewards`), None switches a default term off. Each environment
+            takes a copy.
         reward_weights: weights of default terms.
 
     Raises:
@@ -159,12 +160,13 @@ def read_rewards(
     for name, value in (rewards or {}).items():
         if isinstance(value, RewardTerm):
             terms[name] = RewardTerm(_Checked(name, copy.deepcopy(value.fn)), value.weight)
-        elif value is None or is_number(value):
+        elif value is None:
             check_choice("rewards: default term", name, REWARD_TERMS)
-            if value is None:
-                del terms[name]
-            else:
-                terms[name] = RewardTerm(DEFAULT_REWARDS[name], float(value))
+            del terms[name]
+        elif is_number(value):
+            check_choice("rewards: default or optional term", name, (*REWARD_TERMS, *OPTIONAL_REWARDS))
+            fn = DEFAULT_REWARDS[name] if name in DEFAULT_REWARDS else OPTIONAL_REWARDS[name]()
+            terms[name] = RewardTerm(fn, float(value))
         else:
             raise SpecError(f"rewards[{name!r}]={value!r} must be a RewardTerm, a finite number (weight) or None (off)")
     return Rewards(terms)

@@ -23,6 +23,25 @@ RISER_HIT_MIN_N = 5.0  # a lighter touch is none
 RISER_HIT_RATIO = 4.0  # a foot that is pushed sideways this much harder than it is carried has hit a riser
 
 
+WANTED_SPEED = 0.35  # m/s; where nothing else is commanded
+
+
+class Command(NamedTuple):
+    """A velocity to follow, frame that turns with the base.
+
+    Attributes:
+        forward, lateral: m/s, lateral positive to the left.
+        turn: rad/s, positive to the left.
+    """
+
+    forward: float = WANTED_SPEED
+    lateral: float = 0.0
+    turn: float = 0.0
+
+
+NO_COMMAND = Command()
+
+
 @dataclass(frozen=True, eq=False)
 class Episode:
     """What stays the same for an episode.
@@ -33,6 +52,7 @@ class Episode:
         robot: who climbs.
         body: what was drawn about the robot's body and the ground: friction, payload (kg), motor strength.
         start_x: where the base began, world frame, metres.
+        seed: for terms that draw, the same for equal episodes.
     """
 
     stairs: StairSpec
@@ -40,6 +60,7 @@ class Episode:
     robot: RobotSpec
     body: Body
     start_x: float
+    seed: int = 0
 
 
 class StepState(NamedTuple):
@@ -71,6 +92,7 @@ class StepState(NamedTuple):
         steps_climbed: most edges that the base has had behind it in this episode.
         new_steps: how many of them since the step before.
         termination: name of the termination that ended the episode with this step, else empty.
+        command: velocity to follow; WANTED_SPEED forward where the environment draws none.
     """
 
     episode: Episode
@@ -95,6 +117,7 @@ class StepState(NamedTuple):
     steps_climbed: int
     new_steps: int
     termination: str = ""
+    command: Command = NO_COMMAND
 
     @property
     def foot_velocities(self) -> np.ndarray:
@@ -141,6 +164,7 @@ class StepRecorder:
         truth: StairBlock,
         block: StairBlock,
         dt: float,
+        command: Command = NO_COMMAND,
     ) -> StepState:
         """Return the state of a robot that stands, before the first control step.
 
@@ -150,10 +174,11 @@ class StepRecorder:
             targets: (12,) joint angles that the motors hold, radians.
             truth, block: stair block, true and as the gait reads it.
             dt: length of a control step, seconds.
+            command: velocity to follow.
         """
         self._steps_climbed = self._edges_behind(base)
         self._last_base, self._last_feet, self._last_action = base, reading.feet, self._no_action
-        return self.record(0.0, base, reading, targets, self._no_action, truth, block, dt)
+        return self.record(0.0, base, reading, targets, self._no_action, truth, block, dt, command)
 
     def record(
         self,
@@ -165,6 +190,7 @@ class StepRecorder:
         truth: StairBlock,
         block: StairBlock,
         dt: float,
+        command: Command = NO_COMMAND,
     ) -> StepState:
         """Return the state at the end of a control step; the arrays handed over are read-only from here on.
 
@@ -176,6 +202,7 @@ class StepRecorder:
             action: (n,) in [-1, 1].
             truth, block: stair block, true and as the gait reads it.
             dt: length of the control step, seconds.
+            command: velocity to follow.
         """
         before, previous_feet, previous_action = self._last_base, self._last_feet, self._last_action
         self._last_base, self._last_feet, self._last_action = base, reading.feet, action
@@ -207,6 +234,7 @@ class StepRecorder:
             ground_under_base=levels[bisect_right(edges, float(base.position[0]))],
             steps_climbed=steps_climbed,
             new_steps=new_steps,
+            command=command,
         )
 
     def _edges_behind(self, base: BaseState) -> int:

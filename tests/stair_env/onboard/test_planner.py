@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from stair_env.common.validation import SpecError
-from stair_env.observation import NO_STAIRS
+from stair_env.observation import NO_STAIRS, StairBlock
 from stair_env.onboard.gait import Gait, GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
-from stair_env.onboard.planner import JOINT_ACTION_RAD, PLANNER_PARTS, JointOffsets, make_planner
+from stair_env.onboard.planner import JOINT_ACTION_RAD, PLANNER_PARTS, JointActuation, JointOffsets, make_planner
 from stair_env.robots import get_robot
 
 ROBOT = get_robot("aliengo")
@@ -33,7 +33,39 @@ def test_joint_offsets_start_from_standing():
     planner.reset(np.zeros(4), phase=0.25)
     standing = LegKinematics(ROBOT).joint_angles(ROBOT.nominal_feet)
     targets = planner.joint_targets(np.full(12, 0.5), NO_STAIRS, np.zeros(3), 1 / 48)
-    assert targets == pytest.approx(standing + JOINT_ACTION_RAD / 2) and planner.phase == 0.25
+    assert targets == pytest.approx(standing + np.tile(JOINT_ACTION_RAD, 4) / 2) and planner.phase == 0.25
+
+
+def test_actions_and_joint_targets_belong_together():
+    planner = make_planner("trot", {"scale": [0.3, 1.0, 0.8], "pose": [0.0, 0.8, -1.6]}, ROBOT)
+    action = np.linspace(-1.0, 1.0, 12)
+    targets = planner.joint_targets(action, NO_STAIRS, np.zeros(3), 1 / 48)
+    assert planner.action_for(targets) == pytest.approx(action)
+    assert planner.joint_targets(np.zeros(12), NO_STAIRS, np.zeros(3), 1 / 48) == pytest.approx([0.0, 0.8, -1.6] * 4)
+    assert np.abs(planner.action_for(targets + 9.0)).max() == 1.0
+
+
+def test_joint_actions_reach_what_the_gait_asks_for_on_steep_stairs():
+    """The gait's targets over a riser of 0.20 m, from standing, within what actions of ±1 reach."""
+    gait, joints = Gait(ROBOT), JointOffsets(ROBOT)
+    block = StairBlock(1.0, 1.0, 0.28, 0.20, 0.2, 0.0, 0.0, 1.0)
+    for _ in range(48):
+        targets = gait.joint_targets(np.zeros(16), block, np.zeros(3), 1 / 48)
+        assert np.abs((targets - joints.pose) / joints.scale).max() < 1.0
+
+
+def test_a_clock_keeps_time():
+    planner = make_planner("trot", JointActuation(clock_hz=2.0), ROBOT)
+    planner.reset(np.zeros(4), phase=0.9)
+    for _ in range(12):
+        planner.joint_targets(np.zeros(12), NO_STAIRS, np.zeros(3), 1 / 48)
+    assert planner.phase == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("fields", [{"scale": 4.0}, {"scale": [1.0, 1.0]}, {"pose": [9.0] * 12}, {"clock_hz": -1.0}])
+def test_wrong_joint_actuation_is_named(fields):
+    with pytest.raises(SpecError, match=f"actuation.{next(iter(fields))}"):
+        make_planner("trot", fields, ROBOT)
 
 
 def test_legs_swing_at_the_offsets_of_the_config():
