@@ -97,8 +97,7 @@ class Teaching(gym.Wrapper[Any, np.ndarray, Any, np.ndarray]):
         speed = float(motion @ motion)
         ahead = float((action - self._advice) @ motion) / max(speed, LEAST_MOTION_RAD**2)
         self._ahead += HEARING * (min(max(ahead, -3.0), 3.0) - self._ahead)
-        block, velocity = StairBlock(), np.zeros(3)  # the joints' planner reads neither
-        self._gait.agree(self._actions.joint_targets(action, block, velocity, CONTROL_DT))
+        self._gait.agree(self._actions.pose + self._actions.scale * action)
 
     def _teach(self, observation: Mapping[str, np.ndarray], info: dict[str, Any]) -> dict[str, Any]:
         modulation = np.zeros(ACTION_SIZE)

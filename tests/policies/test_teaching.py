@@ -11,7 +11,7 @@ import pytest
 from policies.make_env import CLIMB_ID, make_env
 from policies.teaching import TEACHER_KEY
 
-KWARGS = {"actuation": "joint", "teacher": True, "riser_height": 0.14, "num_steps": 4}
+KWARGS = {"actuation": "joint", "actuator": "position", "teacher": True, "riser_height": 0.14, "num_steps": 4}
 
 
 @pytest.mark.parametrize("direction", ["up", "down"])

@@ -27,8 +27,9 @@ import numpy as np
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
+from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
 from stair_env.common.files import atomic_path, provenance, write_json
-from stair_env.onboard.memory import STAIR_KEY
+from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
 
 if TYPE_CHECKING:
     import torch
@@ -251,18 +252,24 @@ def fit(model: PPO, lessons: list[Lesson], updates: int, config: ImitationConfig
 
 
 def read_lesson(model: PPO, samples: Samples) -> Lesson:
-    """What the actor's network reads of each observation, and the advice; the statistics must be final.
+    """What the actor's network reads of each observation, and the advice; and the same on the mirror images.
 
-    Nothing between the observation and the network learns, so that this is worked out once for all updates.
+    Nothing between the observation and the network learns, so that this is worked out once for all updates, and after
+    the statistics are final.
     """
     import torch
 
     policy: Any = model.policy
-    shown: Any = _normalised(model).normalize_obs({key: samples[key] for key in samples if key != TEACHER_KEY})
+    seen = {key: samples[key] for key in samples if key != TEACHER_KEY}
+    turned = begun(seen[MEMORY_KEY])
+    mirrored = mirror_observation({key: value[turned] for key, value in seen.items()})
+    both = {key: np.concatenate([value, mirrored[key]]) for key, value in seen.items()}
+    advice = np.concatenate([samples[TEACHER_KEY], mirror_joints(samples[TEACHER_KEY][turned])])
+    shown: Any = _normalised(model).normalize_obs(both)
     observation = {key: torch.as_tensor(value, dtype=torch.float32) for key, value in shown.items()}
     with torch.no_grad():
         features = policy.extract_features(observation, policy.pi_features_extractor)
-    return features, torch.as_tensor(samples[TEACHER_KEY])
+    return features, torch.as_tensor(advice)
 
 
 def _draw_share(number: int, config: ImitationConfig, rng: np.random.Generator) -> float:
