@@ -44,7 +44,7 @@ def run_card(folder: Path) -> tuple[dict[str, Any], Path | None]:
         card = {
             "algorithm": config.algorithm,
             "env_id": config.env_id,
-            "env_kwargs": dict(config.env_kwargs),
+            "env_kwargs": config.resolved_env_kwargs(),
             "hyperparams": config.resolved_hyperparams(),
             "timesteps": steps,
             "training": rows[-1] if rows else {},

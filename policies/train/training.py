@@ -34,7 +34,13 @@ CONFIG_FILE = "config.json"
 CARD_FILE = "card.json"
 FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"
-NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback")  # keys of the YAML file that others read
+NOT_THE_ALGORITHMS = (
+    "n_timesteps",
+    "n_envs",
+    "normalize",
+    "callback",
+    "env_kwargs",
+)  # keys of the YAML file that others read
 HIDING_POLICIES = ("StairActorCriticPolicy", "StairSacPolicy", "StairTd3Policy", "StairTqcPolicy")
 DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
 
@@ -46,7 +52,7 @@ class TrainingConfig:
     Args:
         algorithm: "ppo" or "sac".
         env_id: environment id.
-        env_kwargs: keyword arguments of the environment, JSON-able.
+        env_kwargs: keyword arguments of the environment, JSON-able; they replace those of the YAML file.
         hyperparams: values that replace those of the algorithm's YAML file.
         hyperparams_file: YAML file in place of the shipped one.
         total_timesteps: environment steps over all environments; None takes the file's n_timesteps.
@@ -91,6 +97,11 @@ class TrainingConfig:
             values["n_envs"] = self.num_envs
         return values
 
+    def resolved_env_kwargs(self) -> dict[str, Any]:
+        """The YAML file's arguments of the environment, with this configuration's on top."""
+        file = load_hyperparams(self.algorithm, self.env_id, self.hyperparams_file)
+        return {**file.get("env_kwargs", {}), **self.env_kwargs}
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form; `TrainingConfig(**values)` rebuilds it."""
         return dataclasses.asdict(self)
@@ -130,9 +141,8 @@ def train(
     hyperparams = config.resolved_hyperparams()
     total = int(hyperparams["n_timesteps"])
     saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
-    venv = make_vec_env(
-        config.env_id, int(hyperparams["n_envs"]), config.env_kwargs, seed=config.seed, kind=config.vec_kind
-    )
+    env_kwargs = config.resolved_env_kwargs()
+    venv = make_vec_env(config.env_id, int(hyperparams["n_envs"]), env_kwargs, seed=config.seed, kind=config.vec_kind)
     try:
         write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
         if saved:
@@ -268,7 +278,7 @@ def _finish(config: TrainingConfig, model: BaseAlgorithm, folder: Path, summary:
     card = {
         "algorithm": config.algorithm,
         "env_id": config.env_id,
-        "env_kwargs": dict(config.env_kwargs),
+        "env_kwargs": config.resolved_env_kwargs(),
         "hyperparams": config.resolved_hyperparams(),
         "timesteps": model.num_timesteps,
         "training": summary,

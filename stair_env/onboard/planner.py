@@ -21,7 +21,7 @@ ACTUATIONS = ("gait", "joint")
 GAITS: dict[str, GaitConfig] = {"trot": GaitConfig()}
 # How far an action of ±1 moves each joint of a leg (hip, upper, lower), radians: what the gait asks of them on the
 # ladder, both ways, with some to spare (docs/parts.md has the figures).
-JOINT_ACTION_RAD = (0.5, 1.4, 1.4)
+JOINT_ACTION_RAD = (0.6, 1.6, 1.6)
 PLANNER_PARTS = ("action_size", "phase", "foothold_heights", "reset", "joint_targets")
 
 

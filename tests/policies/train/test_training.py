@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from policies.hyperparams import ALGORITHMS, load_hyperparams
-from policies.make_env import ENV_IDS, make_vec_env, normalise
+from policies.make_env import ENV_IDS, make_env, make_vec_env, normalise
 from policies.train import checkpoints, training
 from policies.train.curves import read_curve
 
@@ -160,6 +160,24 @@ def test_shipped_hyperparameters_are_accepted_by_sb3(algorithm: str, env_id: str
         type(model.policy.features_extractor if algorithm == "ppo" else model.actor.features_extractor).__name__
         == "StairFeatures"
     )
+
+
+def test_a_file_may_hold_arguments_of_the_environment(toy_id: str, tmp_path: Path) -> None:
+    file = tmp_path / "own.yml"
+    file.write_text(json.dumps({toy_id: {"n_timesteps": 10, "env_kwargs": {"size": 5, "level": 1}}}))
+    config = training.TrainingConfig(env_id=toy_id, hyperparams_file=str(file), env_kwargs={"size": 7})
+    assert config.resolved_env_kwargs() == {"size": 7, "level": 1}
+    assert "env_kwargs" not in training._split(config.resolved_hyperparams())[0]
+
+
+def test_the_file_for_joints_builds_an_environment_without_a_gait() -> None:
+    file = Path(load_hyperparams.__code__.co_filename).with_name("ppo_joint.yml")
+    config = training.TrainingConfig(hyperparams_file=str(file), env_kwargs={"direction": "both", "curriculum": True})
+    env = make_env(config.env_id, json.loads(json.dumps(config.resolved_env_kwargs())))
+    assert env.action_space.shape == (12,) and "command" in env.observation_space.spaces
+    weights = {name: term.weight for name, term in env.unwrapped.rewards.terms.items()}
+    assert weights["track_velocity"] == 1.0 and "action_size" not in weights
+    env.close()
 
 
 def test_missing_hyperparameters_name_what_there_is(tmp_path: Path) -> None:
