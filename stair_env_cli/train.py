@@ -10,6 +10,7 @@ from typing import Any
 
 from stair_env.common.constants import ALGORITHMS, EPISODE_DIRECTIONS, VEC_KINDS
 from stair_env.common.progress import progress_bar
+from stair_env.common.validation import from_mapping
 from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
 
 
@@ -105,7 +106,8 @@ def _imitate(args: argparse.Namespace) -> int:
         kwargs = {"actuation": "joint", "actuator": "position", "spawn": "floor", **_env_kwargs(args)}
         kwargs.pop("curriculum", None)  # the teacher climbs from the start
         given = {"num_envs": args.num_envs, **args.set} if args.num_envs else args.set
-        config = dagger.ImitationConfig(env_kwargs=kwargs, seed=args.seed, vec_kind=args.vec, **given)
+        config = from_mapping("--set", dagger.ImitationConfig, given)
+        config = dataclasses.replace(config, env_kwargs=kwargs, seed=args.seed, vec_kind=args.vec)
     if args.timesteps:
         config = dataclasses.replace(config, rounds=math.ceil(args.timesteps / config.steps_per_round))
     with progress_bar(config.rounds, "train", unit="round") as bar:

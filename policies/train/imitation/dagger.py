@@ -75,20 +75,20 @@ class ImitationConfig:
     """
 
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
-    rounds: int = 16
-    steps_per_round: int = 16_384
-    num_envs: int = 16
+    rounds: int = 24
+    steps_per_round: int = 10_240
+    num_envs: int = 10
     seed: int = 0
     teacher_rounds: int = 2
     handover_rounds: int = 4
     alone_share: float = 0.6
     noise: float = 0.02
-    updates: int = 1_500
+    updates: int = 2_000
     final_factor: int = 4
     batch_size: int = 256
-    learning_rate: float = 2e-3
+    learning_rate: float = 1.5e-3
     net_arch: tuple[int, ...] = (256, 256)
-    episode_steps: int = 600
+    episode_steps: int = 450
     vec_kind: str = "auto"
 
     def __post_init__(self) -> None:
