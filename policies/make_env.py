@@ -46,14 +46,25 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
 
     Args:
         env_id: a registered id.
-        env_kwargs: keyword arguments of the environment.
+        env_kwargs: keyword arguments of the environment, and "memory": True for `policies.remembering`, "teacher": True
+            for `policies.teaching`.
         monitor: wrap in SB3's Monitor, which reports return and length of each episode in `info["episode"]`.
 
     Raises:
         ValueError: a keyword argument has a wrong value.
         gymnasium.error.Error: unknown id.
     """
-    env: gym.Env = CurriculumAccess(gym.make(env_id, disable_env_checker=True, **dict(env_kwargs or {})))
+    arguments = dict(env_kwargs or {})
+    memory, teacher = arguments.pop("memory", False), arguments.pop("teacher", False)
+    env: gym.Env = CurriculumAccess(gym.make(env_id, disable_env_checker=True, **arguments))
+    if memory:
+        from policies.remembering import Remembering
+
+        env = Remembering(env)
+    if teacher:
+        from policies.teaching import Teaching
+
+        env = Teaching(env)
     if not monitor:
         return env
     from stable_baselines3.common.monitor import Monitor

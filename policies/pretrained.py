@@ -19,6 +19,7 @@ import numpy as np
 
 from policies.make_env import ENV_IDS
 from policies.portable import portable
+from policies.remembering import Recall, remembers, without_memory
 from policies.rollout import CONTROLS
 from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
@@ -57,6 +58,7 @@ class Policy:
         self._flattened: gym.spaces.Dict | None = None  # what the environment gives, to a policy that reads one vector
         self.observation_space: gym.Space = self.model.observation_space
         self.action_space: gym.Space = self.model.action_space
+        self._recall = Recall(card) if remembers(self.observation_space) else None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -66,7 +68,7 @@ class Policy:
         Args:
             observation: an observation of `observation_space`, with or without a leading batch axis.
             state, episode_start: as in SB3; unused by policies without memory. Hand the returned state to the next
-                call of the same episode.
+                call of the same episode; None begins one.
             deterministic: the most likely action instead of a drawn one.
 
         Returns:
@@ -74,6 +76,8 @@ class Policy:
         """
         if self._flattened is not None:
             observation = flatten(self._flattened, observation)
+        if self._recall is not None and not remembers(observation):
+            observation, state = self._recall.add(observation, state, episode_start)
         if self.normalisation is not None:
             observation = self.normalisation.normalize_obs(observation)
         return self.model.predict(observation, state, episode_start, deterministic)
@@ -81,7 +85,8 @@ class Policy:
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.
 
-        A policy that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
+        A policy that remembers (`policies.remembering`) brings its memory along where the environment has none. A
+        policy that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
 
         Raises:
             PolicyError: naming the space and both sides of the difference.
@@ -93,6 +98,8 @@ class Policy:
             trained, given = getattr(self, kind), getattr(env, kind)
             if given is self._flattened and self._flattened is not None:
                 continue
+            if kind == "observation_space" and self._recall is not None and not remembers(given):
+                trained = without_memory(trained)
             difference = describe_difference(trained, given)
             if difference:
                 raise PolicyError(f"policy {self.name!r} does not fit the environment: {kind} {difference}")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
 from stair_env.common.constants import ALGORITHMS, EPISODE_DIRECTIONS, VEC_KINDS
+from stair_env.common.progress import progress_bar
+from stair_env.common.validation import from_mapping
 from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
 
 
@@ -27,6 +30,15 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--algo", choices=ALGORITHMS, default="ppo", help="algorithm (%(default)s)")
     parser.add_argument("--env", default="stair_env/StairClimb-v0", help="environment id (%(default)s)")
     parser.add_argument("--robot", help="robot (the environment's default)")
+    parser.add_argument(
+        "--actuation", choices=("gait", "joint"), help="what actions are (the environment's default: gait)"
+    )
+    parser.add_argument(
+        "--teacher",
+        choices=("gait",),
+        help="learn joint angles from the gait by DAgger; --set then takes fields of policies.train.imitation.dagger."
+        "ImitationConfig, and --timesteps is rounded up to whole rounds",
+    )
     parser.add_argument(
         "--direction", choices=EPISODE_DIRECTIONS, default="both", help="walking direction (%(default)s)"
     )
@@ -69,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     limit_threads(1)
     from policies.train import training
 
+    if args.teacher:
+        return _imitate(args)
     started = (args.output / training.CONFIG_FILE).exists()
     if args.resume and started:
         config = training.load_config(args.output)
@@ -91,20 +105,43 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _imitate(args: argparse.Namespace) -> int:
+    from policies.train.imitation import dagger
+
+    if args.resume and (args.output / dagger.CONFIG_FILE).exists():
+        config = dagger.load_config(args.output)
+    else:
+        kwargs = {"actuation": "joint", "actuator": "position", "spawn": "floor", **_env_kwargs(args)}
+        kwargs.pop("curriculum", None)  # the teacher climbs from the start
+        given = {"num_envs": args.num_envs, **args.set} if args.num_envs else args.set
+        config = from_mapping("--set", dagger.ImitationConfig, given)
+        config = dataclasses.replace(config, env_kwargs=kwargs, seed=args.seed, vec_kind=args.vec)
+    if args.timesteps:
+        config = dataclasses.replace(config, rounds=math.ceil(args.timesteps / config.steps_per_round))
+    with progress_bar(config.rounds, "train", unit="round") as bar:
+
+        def show(row: dict[str, Any]) -> None:
+            bar.set_postfix(loss=row["loss"], alone=f"{row['alone_successes']}/{row['alone_episodes']}", refresh=False)
+            bar.update(row["round"] + 1 - bar.n)
+
+        card = dagger.imitate(config, args.output, resume=args.resume, on_round=show)
+    if args.json:
+        write_json(args.json, card, seed=config.seed)
+    alone = card["training"]["success_rate"]
+    print(
+        f"{card['timesteps']} steps, {alone:.0%} of the last flights alone climbed; policy in "
+        f"{args.output / dagger.FINAL_FOLDER}"
+    )
+    return 0
+
+
 def _config(args: argparse.Namespace) -> Any:
     from policies.train.training import TrainingConfig
 
-    env_kwargs: dict[str, Any] = {"direction": args.direction}
-    if args.robot:
-        env_kwargs["robot"] = args.robot
-    if args.source:
-        env_kwargs["stair_source"] = args.source
-    if not args.no_curriculum:
-        env_kwargs["curriculum"] = True
     return TrainingConfig(
         algorithm=args.algo,
         env_id=args.env,
-        env_kwargs={**env_kwargs, **args.env_kwargs},
+        env_kwargs=_env_kwargs(args),
         hyperparams=args.set,
         hyperparams_file=args.hyperparams,
         total_timesteps=args.timesteps,
@@ -117,3 +154,16 @@ def _config(args: argparse.Namespace) -> Any:
         torch_threads=args.torch_threads,
         rerun=args.rerun,
     )
+
+
+def _env_kwargs(args: argparse.Namespace) -> dict[str, Any]:
+    env_kwargs: dict[str, Any] = {"direction": args.direction}
+    if args.robot:
+        env_kwargs["robot"] = args.robot
+    if args.actuation:
+        env_kwargs["actuation"] = args.actuation
+    if args.source:
+        env_kwargs["stair_source"] = args.source
+    if not args.no_curriculum:
+        env_kwargs["curriculum"] = True
+    return {**env_kwargs, **args.env_kwargs}

@@ -78,7 +78,7 @@ class JointActuation:
         scale: of each joint, or of the three of a leg (hip, upper, lower), or of all, radians.
         pose: where actions of zero put the joints, canonical angles, three or twelve, radians; None stands.
         clock_hz: of the cycle whose sine and cosine are in the observation, for policies that want to keep time; with 0
-            it stays where it was drawn.
+            there is no clock, and the phase stays 0.
 
     Raises:
         SpecError: a value is out of range, or not as many as joints.
@@ -106,28 +106,23 @@ class JointOffsets:
         pose: (12,) where actions of zero put the joints, radians.
         scale: (12,) how far an action of 1 moves them, radians.
         phase: of the clock, 0..1.
+        foothold_heights: (4,) zeros.
     """
 
     action_size = NUM_JOINTS
 
     def __init__(self, robot: RobotSpec, config: JointActuation | None = None) -> None:
         self.config = config or JointActuation()
-        self._idle = Gait(robot)  # stands for the footholds in the observation
         standing = LegKinematics(robot).joint_angles(robot.nominal_feet)
         pose = self.config.pose
         self.pose = standing if pose is None else per_joint("actuation.pose", pose, -math.pi, math.pi)
         self.scale = per_joint("actuation.scale", self.config.scale, 0.0, math.pi)
-        self.phase = self._idle.phase
-
-    @property
-    def foothold_heights(self) -> np.ndarray:
-        """(4,) heights of the feet at the start relative to their mean, metres."""
-        return self._idle.foothold_heights
+        self.foothold_heights = np.zeros(4)  # nothing is planned
+        self.phase = 0.0
 
     def reset(self, foot_heights: np.ndarray, phase: float = 0.0, pitch: float = 0.0) -> None:
         """Start from standing, see `GaitPlanner`."""
-        self._idle.reset(foot_heights, phase, pitch)
-        self.phase = phase
+        self.phase = phase if self.config.clock_hz else 0.0
 
     def joint_targets(
         self, action: np.ndarray, block: StairBlock, odometry_velocity: np.ndarray, dt: float

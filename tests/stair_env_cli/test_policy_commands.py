@@ -30,6 +30,18 @@ def test_train_writes_a_policy_and_goes_on(run_folder: Path, tmp_path: Path) -> 
     assert json.loads((tmp_path / "c").read_text())["timesteps"] == 192
 
 
+def test_a_student_of_the_gait_is_evaluated_like_any_policy(tmp_path: Path) -> None:
+    little = '{"rounds": 1, "steps_per_round": 40, "updates": 3, "net_arch": [16]}'
+    options = ["--teacher", "gait", "--vec", "dummy", "--num-envs", "2", "--output", str(tmp_path / "run")]
+    assert main(["train", *options, "--set", little, "--json", str(tmp_path / "card.json")]) == 0
+    card = json.loads((tmp_path / "card.json").read_text())
+    assert card["timesteps"] == 40 and card["env_kwargs"]["actuation"] == "joint"
+    flights = ["--policy", str(tmp_path / "run/final"), "--source", "oracle,shuffled", "--stairs", "random"]
+    limits = ["--episodes", "1", "--workers", "1", "--env-kwargs", '{"max_episode_steps": 8}']
+    assert main(["evaluate", *flights, *limits, "--json", str(tmp_path / "flights.json")]) == 0
+    assert set(json.loads((tmp_path / "flights.json").read_text())["overall"]) == {"oracle", "shuffled"}
+
+
 def test_evaluate_writes_cells_and_overall(
     run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,6 +65,7 @@ def test_evaluate_writes_cells_and_overall(
         (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
         (["train", "--hyperparams", "no_such.yml"], ["no_such.yml"]),
+        (["train", "--teacher", "gait", "--set", '{"turns": 3}'], ["turns", "rounds"]),
         (["demo", "--policy", "no/such/policy"], ["no/such/policy"]),
     ],
 )

@@ -1,0 +1,1 @@
+"""Learning joint-level policies from a teacher."""

@@ -1,0 +1,386 @@
+"""DAgger: a joint-level policy learns from the gait on the states that the policy itself gets into.
+
+Ross, Gordon and Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning",
+AISTATS 2011. In each round environments are walked, first by the teacher, then more and more by the student; the
+teacher says at every control step what it would do (`policies.teaching`); the student, an ordinary Stable-Baselines3
+actor-critic policy, is fitted to all the advice so far. What comes out is a PPO model that `stair-env train
+--start-from` goes on with.
+
+A run's folder holds `config.json`, `rounds/` (each round's observations and advice), `curve.csv` (one row a round),
+`checkpoints/` and at the end `final/`.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.teaching import TEACHER_KEY
+from policies.train import checkpoints
+from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
+from stair_env.common.files import atomic_path, provenance, write_json
+from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
+
+if TYPE_CHECKING:
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+LOGGER = logging.getLogger(__name__)
+
+CONFIG_FILE, CARD_FILE, CURVE_FILE = "config.json", "card.json", "curve.csv"
+FINAL_FOLDER, CHECKPOINT_FOLDER, ROUND_FOLDER = "final", "checkpoints", "rounds"
+LOG_STD_INIT = -3.0  # of the student's exploration, should PPO go on: exp(-3) = 0.05 of the action scale
+NOISE_MEMORY = 0.9  # share of the teacher's noise that lasts into the next control step; white noise makes feet slip
+GAMMA = 0.99
+OUTLIER = 0.1  # of the action: advice farther off counts in proportion, not squared; mostly it comes too late
+
+
+@dataclass(frozen=True)
+class ImitationConfig:
+    """What a run learns.
+
+    Args:
+        env_kwargs: keyword arguments of the environment, JSON-able; actuation="joint".
+        rounds: how many times to collect and fit.
+        steps_per_round: control steps over all environments.
+        num_envs: parallel environments.
+        seed: of environments, network and drawing.
+        teacher_rounds: rounds that the teacher walks.
+        handover_rounds: rounds after that until the student walks alone.
+        alone_share: share of the episodes that the student walks alone from then on; in the others the action is a
+            mixture of both, in a proportion drawn for the episode.
+        noise: standard deviation of what is added to the teacher's part of the action, so that it shows how to come
+            back.
+        updates: gradient steps a round; the last round makes `final_factor` times as many.
+        final_factor: see `updates`.
+        batch_size: samples of a gradient step.
+        learning_rate: at the start of a round; it falls to a twentieth.
+        net_arch: hidden layers of the actor; the critic has the same.
+        episode_steps: longest episode while learning.
+        vec_kind: see `policies.make_env.make_vec_env`.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    rounds: int = 24
+    steps_per_round: int = 10_240
+    num_envs: int = 10
+    seed: int = 0
+    teacher_rounds: int = 2
+    handover_rounds: int = 4
+    alone_share: float = 0.6
+    noise: float = 0.02
+    updates: int = 2_000
+    final_factor: int = 4
+    batch_size: int = 256
+    learning_rate: float = 1.5e-3
+    net_arch: tuple[int, ...] = (256, 256)
+    episode_steps: int = 450
+    vec_kind: str = "auto"
+
+    def __post_init__(self) -> None:
+        for name in ("rounds", "steps_per_round", "num_envs", "updates", "final_factor", "batch_size", "episode_steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
+        if not 0.0 <= self.alone_share <= 1.0:
+            raise ValueError(f"alone_share={self.alone_share!r} must lie in 0..1")
+
+
+Samples = dict[str, np.ndarray]  # observation parts by key, and TEACHER_KEY: float32, a row a control step
+Lesson = tuple["torch.Tensor", "torch.Tensor"]  # features (n, features_dim) and advice (n, action size)
+
+
+def imitate(
+    config: ImitationConfig,
+    folder: Path | str,
+    *,
+    resume: bool = False,
+    on_round: Callable[[dict[str, Any]], None] | None = None,
+) -> dict[str, Any]:
+    """Learn from the gait.
+
+    Args:
+        config: what to learn.
+        folder: the run's folder, made if missing.
+        resume: go on after the last complete round in the folder.
+        on_round: called with each round's row of the curve.
+
+    Returns:
+        The card of the result, as `final/card.json` holds it.
+
+    Raises:
+        ValueError: the folder holds another run and resume is False, or a wrong argument.
+    """
+    import torch
+
+    folder = Path(folder)
+    if (folder / CONFIG_FILE).exists() and not resume:
+        raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
+    torch.set_num_threads(1)
+    kwargs = {"memory": True, "teacher": True, "max_episode_steps": config.episode_steps, **config.env_kwargs}
+    venv = make_vec_env(CLIMB_ID, config.num_envs, kwargs, seed=config.seed, kind=config.vec_kind)
+    try:
+        write_json(folder / CONFIG_FILE, dataclasses.asdict(config), seed=config.seed)
+        saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
+        model = _load_model(venv, saved[-1]) if saved else _new_model(config, venv)
+        done = checkpoints.read_state(saved[-1])["num_timesteps"] // _steps(config) if saved else 0
+        lessons = [read_lesson(model, _read_round(folder, number)) for number in range(done)]
+        curve: list[dict[str, Any]] = _read_curve(folder)[:done]
+        for number in range(done, config.rounds):
+            begun = time.monotonic()
+            venv.seed(config.seed + 100_000 * number)  # resumed or not, a round walks the same episodes
+            rng = np.random.default_rng([config.seed, number])
+            samples, walked = collect(config, model, number, rng)
+            if number == 0:
+                _fix_normalisation(model, samples)
+            lessons.append(read_lesson(model, samples))
+            updates = config.updates * (config.final_factor if number == config.rounds - 1 else 1)
+            loss = fit(model, lessons, updates, config, rng)
+            model.num_timesteps += _steps(config)
+            row = {"round": number, "timesteps": model.num_timesteps, "loss": loss, **walked}
+            row["wall_s"] = round(time.monotonic() - begun + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            curve.append(row)
+            _write_round(folder, number, samples)
+            _write_curve(folder, curve)
+            checkpoints.save_checkpoint(model, folder / CHECKPOINT_FOLDER)
+            if on_round:
+                on_round(row)
+        return _finish(config, model, folder, curve[-1])
+    finally:
+        venv.close()
+
+
+def load_config(folder: Path | str) -> ImitationConfig:
+    """The configuration of a run's folder.
+
+    Raises:
+        FileNotFoundError: the folder holds no run.
+    """
+    values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
+    names = {item.name for item in dataclasses.fields(ImitationConfig)}
+    return ImitationConfig(**{name: value for name, value in values.items() if name in names})
+
+
+def collect(
+    config: ImitationConfig, model: PPO, number: int, rng: np.random.Generator
+) -> tuple[Samples, dict[str, Any]]:
+    """Walk one round.
+
+    Args:
+        config: of the run.
+        model: the student.
+        number: of the round, from 0.
+        rng: draws who walks, and the teacher's noise.
+
+    Returns:
+        The observations that were met with the teacher's advice, and how the episodes went: `alone_episodes` are those
+        that the student walked from beginning to end, `alone_successes` how many of them arrived.
+    """
+    venv = _normalised(model)
+    count, steps = config.num_envs, _steps(config) // config.num_envs
+    share = np.array([_draw_share(number, config, rng) for _ in range(count)])
+    noise = np.zeros((count, *(venv.action_space.shape or ())))
+    venv.reset()
+    raw: Any = venv.get_original_obs()
+    advice = np.array([info[TEACHER_KEY] for info in venv.unwrapped.reset_infos])
+    kept: dict[str, list[np.ndarray]] = {key: [] for key in (*raw, TEACHER_KEY)}
+    tally = {"episodes": 0, "successes": 0, "alone_episodes": 0, "alone_successes": 0}
+    for _ in range(steps):
+        for key, value in (*raw.items(), (TEACHER_KEY, advice)):
+            kept[key].append(value.astype(np.float32))
+        fresh = np.sqrt(1.0 - NOISE_MEMORY**2) * config.noise * rng.normal(size=noise.shape)
+        noise = NOISE_MEMORY * noise + fresh
+        shown = advice + noise
+        if share.any():
+            actions = model.policy.predict(venv.normalize_obs(raw), deterministic=True)[0]
+            shown += share[:, None] * (actions - shown)
+        _, _, dones, infos = venv.step(np.clip(shown, -1.0, 1.0).astype(np.float32))
+        raw = venv.get_original_obs()
+        advice = np.array([info[TEACHER_KEY] for info in infos])
+        for index in np.flatnonzero(dones):
+            _count(tally, bool(infos[index]["is_success"]), alone=share[index] == 1.0)
+            advice[index] = venv.unwrapped.reset_infos[index][TEACHER_KEY]
+            share[index] = _draw_share(number, config, rng)
+    return {key: np.concatenate(values) for key, values in kept.items()}, tally
+
+
+def fit(model: PPO, lessons: list[Lesson], updates: int, config: ImitationConfig, rng: np.random.Generator) -> float:
+    """Fit the student's mean action to the advice.
+
+    Args:
+        model: the student.
+        lessons: of all rounds.
+        updates: gradient steps.
+        config: of the run.
+        rng: draws the batches.
+
+    Returns:
+        Root of the mean squared difference, with outliers' capped, over the last tenth of the batches, in units of the
+        action.
+    """
+    import torch
+
+    policy: Any = model.policy
+    features, advice = (torch.cat(parts) for parts in zip(*lessons))
+    learning = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
+    optimiser = torch.optim.Adam(learning, lr=config.learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates, config.learning_rate / 20)
+    losses = []
+    for _ in range(updates):
+        rows = torch.as_tensor(rng.integers(0, len(advice), config.batch_size))
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(features[rows]))
+        loss = torch.nn.functional.smooth_l1_loss(mean, advice[rows], beta=OUTLIER)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+        losses.append(float(loss.detach()) * 2 * OUTLIER)
+    return float(np.sqrt(np.mean(losses[-max(updates // 10, 1) :])))
+
+
+def read_lesson(model: PPO, samples: Samples) -> Lesson:
+    """What the actor's network reads of each observation, and the advice; and the same on the mirror images.
+
+    Nothing between the observation and the network learns, so that this is worked out once for all updates, and after
+    the statistics are final.
+    """
+    import torch
+
+    policy: Any = model.policy
+    seen = {key: samples[key] for key in samples if key != TEACHER_KEY}
+    turned = begun(seen[MEMORY_KEY])
+    mirrored = mirror_observation({key: value[turned] for key, value in seen.items()})
+    both = {key: np.concatenate([value, mirrored[key]]) for key, value in seen.items()}
+    advice = np.concatenate([samples[TEACHER_KEY], mirror_joints(samples[TEACHER_KEY][turned])])
+    shown: Any = _normalised(model).normalize_obs(both)
+    observation = {key: torch.as_tensor(value, dtype=torch.float32) for key, value in shown.items()}
+    with torch.no_grad():
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+    return features, torch.as_tensor(advice)
+
+
+def _draw_share(number: int, config: ImitationConfig, rng: np.random.Generator) -> float:
+    """The student's share of the action in an episode, 0..1."""
+    handed_over = min(max(number + 1 - config.teacher_rounds, 0) / config.handover_rounds, 1.0)
+    alone, mixture = rng.random(2)
+    return 1.0 if alone < config.alone_share * handed_over else float(mixture * handed_over)
+
+
+def _count(tally: dict[str, int], success: bool, alone: bool) -> None:
+    for name in ("", "alone_")[: 1 + alone]:
+        tally[f"{name}episodes"] += 1
+        tally[f"{name}successes"] += success
+
+
+def _steps(config: ImitationConfig) -> int:
+    """Control steps of a round."""
+    return max(config.steps_per_round // config.num_envs, 1) * config.num_envs
+
+
+def _normalised(model: PPO) -> VecNormalize:
+    venv = model.get_vec_normalize_env()
+    assert venv is not None
+    return venv
+
+
+def _new_model(config: ImitationConfig, venv: Any) -> PPO:
+    import torch
+    from stable_baselines3 import PPO
+
+    from policies.features import StairActorCriticPolicy
+
+    keys = [key for key in venv.observation_space.spaces if key != STAIR_KEY]  # which the policy scales by itself
+    normalised = normalise(venv, gamma=GAMMA, options={"norm_obs_keys": keys})
+    normalised.training = False
+    return PPO(
+        StairActorCriticPolicy,
+        normalised,
+        seed=config.seed,
+        device="cpu",
+        gamma=GAMMA,
+        policy_kwargs={"net_arch": list(config.net_arch), "log_std_init": LOG_STD_INIT, "activation_fn": torch.nn.ReLU},
+    )
+
+
+def _load_model(venv: Any, checkpoint: Path) -> PPO:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    LOGGER.info("resuming from %s", checkpoint)
+    normalised = VecNormalize.load(str(checkpoint / checkpoints.NORMALISATION_FILE), venv)
+    normalised.training = False
+    return PPO.load(checkpoint / checkpoints.MODEL_FILE, env=normalised, device="cpu")
+
+
+def _fix_normalisation(model: PPO, samples: Samples) -> None:
+    """Statistics of the teacher's round, which stay: weights and what they are fitted on must not drift apart."""
+    venv = _normalised(model)
+    for key in venv.norm_obs_keys or ():
+        statistics = venv.obs_rms[key]
+        statistics.mean = samples[key].mean(axis=0, dtype=np.float64)
+        statistics.var = samples[key].var(axis=0, dtype=np.float64) + 1e-4  # what did not vary tells nothing
+        statistics.count = float(len(samples[key]))
+
+
+def _round_file(folder: Path, number: int) -> Path:
+    return folder / ROUND_FOLDER / f"round_{number:03d}.npz"
+
+
+def _write_round(folder: Path, number: int, samples: Samples) -> None:
+    path = _round_file(folder, number)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **samples)  # type: ignore[arg-type]
+
+
+def _read_round(folder: Path, number: int) -> Samples:
+    with np.load(_round_file(folder, number)) as stored:
+        return {key: stored[key] for key in stored.files}
+
+
+def _write_curve(folder: Path, rows: list[dict[str, Any]]) -> None:
+    with atomic_path(folder / CURVE_FILE) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _read_curve(folder: Path) -> list[dict[str, Any]]:
+    if not (folder / CURVE_FILE).exists():
+        return []
+    with (folder / CURVE_FILE).open(newline="", encoding="utf-8") as file:
+        return [{name: json.loads(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def _finish(config: ImitationConfig, model: PPO, folder: Path, last: dict[str, Any]) -> dict[str, Any]:
+    """Write `final/`: the policy and its card."""
+    final = folder / FINAL_FOLDER
+    checkpoints.save_policy(model, final)
+    card = {
+        "algorithm": "ppo",
+        "method": "dagger",
+        "env_id": CLIMB_ID,
+        "env_kwargs": {"memory": True, **config.env_kwargs},
+        "hyperparams": {k: v for k, v in dataclasses.asdict(config).items() if k not in ("env_kwargs", "seed")},
+        "timesteps": model.num_timesteps,
+        "training": {
+            **last,
+            "success_rate": last["alone_successes"] / max(last["alone_episodes"], 1),
+        },
+        **provenance(config.seed),
+    }
+    write_json(final / CARD_FILE, card, seed=config.seed)
+    return card

@@ -1,0 +1,45 @@
+"""The teacher: who follows it climbs, whatever the student's stair block says, and it keeps step with who does not."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+import pytest
+
+from policies.make_env import CLIMB_ID, make_env
+from policies.teaching import TEACHER_KEY
+
+KWARGS = {"actuation": "joint", "actuator": "position", "teacher": True, "riser_height": 0.14, "num_steps": 4}
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_who_follows_climbs_even_blind(direction: str) -> None:
+    env = make_env(CLIMB_ID, {**KWARGS, "direction": direction, "stair_source": "blind"}, monitor=False)
+    _, info = env.reset(seed=3)
+    done = False
+    while not done:
+        assert env.action_space.contains(info[TEACHER_KEY])
+        _, _, terminated, truncated, info = env.step(info[TEACHER_KEY])
+        done = terminated or truncated
+    assert info["is_success"]
+    env.close()
+
+
+def test_the_teacher_waits_for_a_late_student() -> None:
+    """A student that acts three control steps late: the teacher's cycle turns more slowly than its own."""
+    env = make_env(CLIMB_ID, KWARGS, monitor=False)
+    gait: Any = env.get_wrapper_attr("_gait")
+    turned = []
+    for lag in (0, 3):
+        _, info = env.reset(seed=3)
+        late: deque[np.ndarray] = deque([info[TEACHER_KEY]] * (lag + 1), maxlen=lag + 1)
+        phase, before = 0.0, gait.phase
+        for _ in range(40):
+            late.append(info[TEACHER_KEY])
+            _, _, _, _, info = env.step(late[0])
+            phase, before = phase + (gait.phase - before) % 1.0, gait.phase
+        turned.append(phase)
+    assert turned[1] < 0.95 * turned[0]
+    env.close()

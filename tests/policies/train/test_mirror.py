@@ -1,0 +1,42 @@
+"""Mirror images: twice is once, and the mirrored robot is where the mirrored joints say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from policies.make_env import CLIMB_ID, make_env
+from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
+from stair_env.observation import PROPRIO_SLICES
+from stair_env.onboard.kinematics import LegKinematics
+from stair_env.onboard.memory import LAGS, MEMORY_KEY
+from stair_env.robots import ROBOTS
+
+KWARGS = {"actuation": "joint", "actuator": "position", "memory": True}
+
+
+def walk() -> dict[str, np.ndarray]:
+    env = make_env(CLIMB_ID, KWARGS)
+    env.action_space.seed(0)
+    seen = [env.reset(seed=0)[0]] + [env.step(0.1 * env.action_space.sample())[0] for _ in range(30)]
+    env.close()
+    return {key: np.stack([observation[key] for observation in seen]) for key in seen[0]}
+
+
+def test_twice_is_once() -> None:
+    seen = walk()
+    mirrored = mirror_observation(seen)
+    again = mirror_observation(mirrored)
+    assert all(np.array_equal(again[key], seen[key]) for key in seen)
+    assert all(not np.array_equal(mirrored[key], seen[key]) for key in seen)
+
+
+def test_feet_are_mirrored() -> None:
+    kinematics = LegKinematics(ROBOTS["aliengo"])
+    joints = walk()["proprio"][-1, PROPRIO_SLICES["joint_position"]].astype(np.float64)
+    feet, mirrored = kinematics.foot_positions(joints), kinematics.foot_positions(mirror_joints(joints))
+    assert np.allclose(mirrored, feet[[1, 0, 3, 2]] * [1, -1, 1], atol=1e-6)
+
+
+def test_an_episode_has_begun_when_its_longest_memory_has() -> None:
+    known = begun(walk()[MEMORY_KEY])
+    assert not known[: max(LAGS) + 1].any() and known[max(LAGS) + 1 :].all()
