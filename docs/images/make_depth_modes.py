@@ -10,9 +10,9 @@ from stair_env.camera.depth_error import DepthErrorModel
 from stair_env.camera.intrinsics import D435I_COLOR_MODES
 from stair_env.camera.labels import visible_edges
 from stair_env.camera.renderers.factory import make_renderer
+from stair_env.camera.stereo import StereoDepth
 from stair_env.scene_spec import Scene
 
-from stair_env.camera.stereo import StereoDepth
 from stair_env.sampling import SceneSampler, sample_camera_pose
 
 matplotlib.use("Agg")
