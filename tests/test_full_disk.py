@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -20,42 +22,35 @@ COMMANDS = {
 UNWRITABLE = Path("/proc/no-such-place")
 
 
-@pytest.fixture()
-def full_disk() -> Iterator[None]:
-    """Files of this process cannot grow; Python turns the signal into an OSError, as a full disk is one."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def told(capsys: pytest.CaptureFixture[str], name: str) -> str:
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("stair-env")]
-    assert len(lines) == 1 and lines[0].startswith(f"stair-env {name}: error: "), lines
+def told(errors: str, name: str) -> str:
+    lines = [line for line in errors.splitlines() if line.startswith("stair-env")]
+    assert "Traceback" not in errors and len(lines) == 1 and lines[0].startswith(f"stair-env {name}: error: "), errors
     return lines[0]
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_a_full_disk(
-    name: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_full_disk(name: str, tmp_path: Path) -> None:
+    """Files of the process cannot grow, which Python tells as it tells of a full disk, by an OSError."""
     command, results = COMMANDS[name]
     for file in results:
         (tmp_path / file).write_bytes(b"earlier" * 100)
     before = set(tmp_path.iterdir())
-    request.getfixturevalue("full_disk")
-    assert main(command.split()) == 2
-    line = told(capsys, name)
+    done = subprocess.run(
+        [sys.executable, "-B", "-W", "ignore", "-m", "stair_env_cli.main", *command.split()],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM)),
+    )
+    assert done.returncode == 2, done.stderr
+    line = told(done.stderr, name)
     assert "too large" in line or "cannot be written" in line, line
     for file in results:
         assert (tmp_path / file).read_bytes() == b"earlier" * 100
     left = {path.name for path in set(tmp_path.iterdir()) - before}
-    assert not any(name.startswith(".") for name in left), left
+    assert not any(file.startswith(".") for file in left), left
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a place that takes no files, whoever asks")
@@ -68,4 +63,4 @@ def test_a_place_that_takes_no_files(
     option = "--output" if "--output" in words else "--json"
     words[words.index(option) + 1] = str(UNWRITABLE / "file.png")
     assert main(words) == 2
-    assert str(UNWRITABLE) in told(capsys, name)
+    assert str(UNWRITABLE) in told(capsys.readouterr().err, name)
