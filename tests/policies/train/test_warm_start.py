@@ -61,9 +61,10 @@ def test_returns_are_those_of_a_loop_and_unknown_without_an_end() -> None:
     assert returns[:2, 0] == pytest.approx([2.0, 2.0]) and np.isnan(returns[2:]).all()
 
 
+@pytest.mark.slow
 def test_the_network_takes_the_stance_whatever_it_did_before(tmp_path: Path) -> None:
     stances = Stance(lower=0.03, frequency=0.1), Stance(widen=0.03, pitch=0.1)
-    folder = warm_start(tmp_path, "aliengo", {"direction": "both"}, stances=stances, steps=120, epochs=150)
+    folder = warm_start(tmp_path, "aliengo", {"direction": "both"}, stances=stances, steps=60, epochs=120)
     policy = pretrained.load(folder)
     for direction, stance in zip(("up", "down"), stances):
         env = gym.make(CLIMB_ID, direction=direction)
