@@ -26,7 +26,11 @@ MOMENT_FIELDS = ("last_action", "velocity", "gravity", "yaw_rate", "contact")  #
 AXLE_FIELDS = ("behind_distance", "behind_rise", "ahead_distance", "ahead_rise")  # of the nearest edge on each side
 MOMENT_SIZE = NUM_JOINTS + 3 + 3 + 1 + 4
 EDGES_SIZE = 2 * len(AXLE_FIELDS) + 1  # front hips, rear hips, and the ground's height between the two
-MEMORY_SIZE = len(LAGS) * MOMENT_SIZE + EDGES_SIZE
+FOOT_FIELDS = ("ahead_of_hip", "height", "behind_distance", "ahead_distance", "ground")
+FEET_SIZE = 4 * len(FOOT_FIELDS)
+EDGES = slice(len(LAGS) * MOMENT_SIZE, len(LAGS) * MOMENT_SIZE + EDGES_SIZE)  # where in the memory they are
+FEET = slice(EDGES.stop, EDGES.stop + FEET_SIZE)
+MEMORY_SIZE = FEET.stop
 MEMORY_BOUND = 2 * math.pi
 FAR_M = 0.6  # an edge farther away than this is as good as none
 HEADING_MEMORY_S = 0.5  # a heading error that is no longer measured fades with this time constant
@@ -48,6 +52,7 @@ class Memory:
 
     def __init__(self, robot: RobotSpec) -> None:
         self._hip_x = robot.hip_x
+        self._hips = robot.hips
         self._kinematics = LegKinematics(robot)
         self._map = StepMap()
         self._moments: deque[np.ndarray] = deque(maxlen=max(LAGS) + 1)
@@ -70,7 +75,7 @@ class Memory:
         Returns:
             (MEMORY_SIZE,) float32: the moments at LAGS, each of MOMENT_FIELDS; then for the front
             and the rear hips AXLE_FIELDS, metres, FAR_M and 0 where there is no edge; then how far the ground under
-            the front hips lies above that under the rear ones, metres.
+            the front hips lies above that under the rear ones, metres; then FOOT_FIELDS of each foot (`place_feet`).
         """
         self._moments.append(_moment(observation["proprio"]))
         forward, left = observation["proprio"][_VELOCITY][:2].tolist()
@@ -94,7 +99,9 @@ class Memory:
         edges = self._map.edges()
         climb = self._map.height_at(front) - self._map.height_at(rear)
         recent = [self._moments[-1 - lag] for lag in LAGS]
-        recalled = np.concatenate([*recent, _nearest(edges, front), _nearest(edges, rear), [climb]], dtype=np.float32)
+        axles = np.array([*_nearest(edges, front), *_nearest(edges, rear), climb], np.float32)
+        feet = place_feet(self._kinematics, self._hips, observation["proprio"], block, axles)
+        recalled = np.concatenate([*recent, axles, feet], dtype=np.float32)
         np.minimum(recalled, MEMORY_BOUND, out=recalled)
         return np.maximum(recalled, -MEMORY_BOUND, out=recalled)
 
@@ -103,6 +110,40 @@ class Memory:
         level = base_to_level(-proprio[_GRAVITY])
         heights = self._kinematics.foot_positions(proprio[_JOINTS]) @ level[2]
         return float(heights[:2].mean() - heights[2:].mean())
+
+
+def place_feet(
+    kinematics: LegKinematics, hips: np.ndarray, proprio: np.ndarray, block: StairBlock, axles: np.ndarray
+) -> np.ndarray:
+    """Where the feet are on the stairs.
+
+    Args:
+        kinematics: of the robot.
+        hips: (4, 3) in the base frame, metres.
+        proprio: the proprioceptive block.
+        block: the stair block, for the heading.
+        axles: (EDGES_SIZE,) edges near front and rear hips.
+
+    Returns:
+        (FEET_SIZE,) for each foot: how far it is ahead of its hip along the stairs, its height over the hip (negative),
+        the distances to the last edge behind it and to the next one ahead, FAR_M where there is none, and how far the
+        ground under it lies above that under its hip; metres.
+    """
+    level = base_to_level(-proprio[_GRAVITY])
+    away = (kinematics.foot_positions(proprio[_JOINTS]) - hips) @ level.T
+    heading = block.heading_error if block.valid >= 0.5 else 0.0
+    along = away[:, 0] * math.cos(heading) + away[:, 1] * math.sin(heading)
+    places = []
+    for leg, (s, height) in enumerate(zip(along.tolist(), away[:, 2].tolist())):
+        back, back_rise, front, front_rise = axles[:4].tolist() if leg < 2 else axles[4:8].tolist()
+        behind = s + back if back_rise else FAR_M
+        ahead, ground = front - s if front_rise else FAR_M, 0.0
+        if behind < 0.0:  # the foot is on the near side of the edge behind the hip
+            behind, ahead, ground = FAR_M, -behind, -back_rise
+        elif ahead < 0.0:
+            behind, ahead, ground = -ahead, FAR_M, front_rise
+        places += [s, height, behind, ahead, ground]
+    return np.array(places, np.float32)
 
 
 def _moment(proprio: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stair_env.observation import PROPRIO_FIELDS, STAIR_FIELDS
-from stair_env.onboard.memory import LAGS, MEMORY_KEY, MOMENT_FIELDS, MOMENT_SIZE, STAIR_KEY
+from stair_env.onboard.memory import EDGES, LAGS, MEMORY_KEY, MOMENT_FIELDS, MOMENT_SIZE, STAIR_KEY
 from stair_env.robots import NUM_JOINTS
 from stair_env.task.terms.height_scan import GRID_X_M, GRID_Y_M, HEIGHT_SCAN_KEY
 
@@ -58,10 +58,11 @@ def _mirror_proprio(values: np.ndarray) -> np.ndarray:
 
 
 def _mirror_memory(values: np.ndarray) -> np.ndarray:
-    moments, edges = np.split(values, [len(LAGS) * MOMENT_SIZE], axis=-1)
+    moments, edges, feet = np.split(values, [EDGES.start, EDGES.stop], axis=-1)
     lengths = {name: _LENGTHS[name] for name in MOMENT_FIELDS}
     mirrored = _mirror_fields(lengths, moments.reshape(len(values), len(LAGS), MOMENT_SIZE))
-    return np.concatenate([mirrored.reshape(moments.shape), edges], axis=-1)
+    other_feet = feet.reshape(len(values), 4, -1)[:, OTHER_LEG].reshape(feet.shape)
+    return np.concatenate([mirrored.reshape(moments.shape), edges, other_feet], axis=-1)
 
 
 def _mirror_stair(values: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from policies.make_env import CLIMB_ID, make_env
 from policies.teaching import TEACHER_KEY
 from stair_env.observation import PROPRIO_SLICES
-from stair_env.onboard.memory import EDGES_SIZE, FAR_M, LAGS, MEMORY_KEY, MOMENT_SIZE
+from stair_env.onboard.memory import EDGES, FAR_M, LAGS, MEMORY_KEY, MOMENT_SIZE
 from stair_env.robots import NUM_JOINTS
 from stair_env.task.sources import front_hips
 
@@ -39,7 +39,7 @@ def test_moments_are_those_of_the_past() -> None:
     seen = flight()
     action = PROPRIO_SLICES["last_action"].start
     for now in (0, 3, 40, len(seen) - 1):
-        moments = seen[now][0][MEMORY_KEY][:-EDGES_SIZE].reshape(len(LAGS), MOMENT_SIZE)
+        moments = seen[now][0][MEMORY_KEY][: EDGES.start].reshape(len(LAGS), MOMENT_SIZE)
         for lag, moment in zip(LAGS, moments):
             proprio = seen[max(now - lag, 0)][0]["proprio"]
             assert np.array_equal(moment[:NUM_JOINTS], proprio[action : action + NUM_JOINTS])
@@ -51,7 +51,7 @@ def test_moments_are_those_of_the_past() -> None:
 def test_edges_under_the_rear_feet_are_remembered(direction: str, sign: float) -> None:
     known = 0
     for observation, state in flight(direction=direction)[::5]:
-        distance, rise = observation[MEMORY_KEY][-EDGES_SIZE:][6:8]  # ahead of the rear hips
+        distance, rise = observation[MEMORY_KEY][EDGES][6:8]  # ahead of the rear hips
         robot, edges = state.episode.robot, state.episode.profile.edge_x
         rear = front_hips(state.after, robot, 0.0).x - (robot.hip_x[0] - robot.hip_x[1])  # within 2 cm if pitched
         ahead = edges[edges > rear]
@@ -64,5 +64,5 @@ def test_edges_under_the_rear_feet_are_remembered(direction: str, sign: float) -
 
 def test_blind_robots_remember_no_edges() -> None:
     for observation, _ in flight(stair_source="blind"):
-        edges = observation[MEMORY_KEY][-EDGES_SIZE:]
+        edges = observation[MEMORY_KEY][EDGES]
         assert np.allclose(edges, [FAR_M, 0.0, FAR_M, 0.0, FAR_M, 0.0, FAR_M, 0.0, 0.0])
