@@ -105,7 +105,7 @@ def test_intrinsics(values: list[Any]) -> None:
 def test_names(value: Any) -> None:
     for call in (
         get_robot,
-        lambda name: EvaluationConfig(sources=("gait",), robot=name),
+        lambda name: EvaluationConfig(sources=("gait",), robot="" if name is None else name),  # None: the policy's
         lambda name: TrainingConfig(name),
     ):
         with pytest.raises(ValueError):
