@@ -211,7 +211,7 @@ def fitting_robot(robot: str | None, policies: Iterable[str | Path | None] = (),
         trained = interface(policy, weights).get("robot") if policy is not None else None
         if trained is None:
             continue
-        robot = robot or trained
+        robot = trained if robot is None else robot
         if robot != trained:
             get_robot(robot)
             fitting = [name for name in sorted(_manifest(weights)) if interface(name, weights).get("robot") == robot]
@@ -219,7 +219,7 @@ def fitting_robot(robot: str | None, policies: Iterable[str | Path | None] = (),
                 f"robot={robot!r}: policy {str(policy)!r} was trained on {trained!r}; leave the robot out, or use a "
                 f"policy of {robot!r}: {', '.join(fitting) or 'none shipped yet'}"
             )
-    return get_robot(robot or DEFAULT_ROBOT).name
+    return get_robot(DEFAULT_ROBOT if robot is None else robot).name
 
 
 def read_card(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> dict[str, Any]:
