@@ -56,3 +56,17 @@ def test_a_batch_is_remembered_row_by_row(student: Path) -> None:
 def test_only_joint_level_environments_remember() -> None:
     with pytest.raises(SpecError, match='actuation="joint"'):
         make_env(CLIMB_ID, {"memory": True})
+
+
+def test_the_shipped_student_walks_towards_the_stairs() -> None:
+    """Without gait, clock and wrapper: two seconds of walking, upright, before the first step."""
+    env = make_env(CLIMB_ID, {**pretrained.interface("aliengo-joint"), "direction": "up"}, monitor=False)
+    policy = pretrained.load("aliengo-joint", env)
+    observation, info = env.reset(seed=0, options={"x": -1.5, "y": 0.0, "yaw": 0.0})
+    start, state = info["truth"]["position"][0], None
+    for _ in range(96):
+        action, state = policy.predict(observation, state)
+        observation, _, terminated, _, info = env.step(action)
+        assert not terminated
+    assert info["truth"]["position"][0] > start + 0.3
+    env.close()

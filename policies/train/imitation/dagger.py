@@ -152,6 +152,7 @@ def imitate(
             model.num_timesteps += _steps(config)
             row = {"round": number, "timesteps": model.num_timesteps, "loss": loss, **walked}
             row["wall_s"] = round(time.monotonic() - begun + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            row["success_rate"] = _rate(row)
             curve.append(row)
             _write_round(folder, number, samples)
             _write_curve(folder, curve)
@@ -285,6 +286,11 @@ def _count(tally: dict[str, int], success: bool, alone: bool) -> None:
         tally[f"{name}successes"] += success
 
 
+def _rate(row: Mapping[str, Any]) -> float:
+    """Share of the flights alone that arrived; 0 where there were none."""
+    return float(row["alone_successes"] / max(row["alone_episodes"], 1))
+
+
 def _steps(config: ImitationConfig) -> int:
     """Control steps of a round."""
     return max(config.steps_per_round // config.num_envs, 1) * config.num_envs
@@ -376,10 +382,7 @@ def _finish(config: ImitationConfig, model: PPO, folder: Path, last: dict[str, A
         "env_kwargs": {"memory": True, **config.env_kwargs},
         "hyperparams": {k: v for k, v in dataclasses.asdict(config).items() if k not in ("env_kwargs", "seed")},
         "timesteps": model.num_timesteps,
-        "training": {
-            **last,
-            "success_rate": last["alone_successes"] / max(last["alone_episodes"], 1),
-        },
+        "training": last,
         **provenance(config.seed),
     }
     write_json(final / CARD_FILE, card, seed=config.seed)
