@@ -35,6 +35,7 @@ from stair_env.common.validation import check_range
 COLOUR_FORMATS = ("rgb8", "bgr8")
 MAX_APART_S = 0.017  # between colour and depth of one frame: half a frame at 30 a second
 WAITING = 4  # images that wait for their other half
+HELD = 16  # RGB-D frames of a recording that wait for the accelerometer
 QUEUE_SIZE = 16  # frames between the SDK's threads and ours; a recording waits, a device drops the oldest
 IMU_KEPT = 4000  # samples between two frames: ten seconds
 TICK_S = 0.1
@@ -199,6 +200,7 @@ class RealSense:
         if self._playback is not None:
             stopped = self._sdk.playback_status.stopped
             self._playback.set_status_changed_callback(lambda status: mailbox.end() if status == stopped else None)
+            self._playback.pause()  # or what comes before the last sensor has started is lost
         for sensor, profiles in by_sensor.values():
             try:
                 sensor.open(profiles)
@@ -207,6 +209,8 @@ class RealSense:
             except RuntimeError as error:
                 self.close()
                 raise SourceError(f"{self._name}: cannot be started: {' '.join(str(error).split())}") from None
+        if self._playback is not None:
+            self._playback.resume()
 
     def close(self) -> None:
         """Stop all streams; safe to call twice."""
@@ -226,16 +230,18 @@ class RealSense:
             BrokenRecordingError: a recording holds no frame, or one that cannot be read.
         """
         mailbox = _Mailbox(waits=self._playback is not None)
-        joiner = _Joiner(self._sdk, self._profiles, self._options.filters)
+        joiner = _Joiner(self._sdk, self._profiles, self._options.filters, holds=self._playback is not None)
         given = 0
         self._start(mailbox)
         try:
-            while True:
+            ended = False
+            while not ended:
                 frame = mailbox.get(self._options.timeout_s)
                 if frame is None:
-                    break
-                raw = joiner.take(frame, given)
-                if raw is not None:
+                    ended = True
+                else:
+                    joiner.take(frame)
+                while (raw := joiner.next(given, ended)) is not None:
                     given += 1
                     yield raw
             if self._playback is None and self._sensors:
@@ -306,10 +312,13 @@ class _Joiner:
         sdk: pyrealsense2.
         profiles: stream -> (sensor, profile).
         filters: whether depth goes through the SDK's post-processing.
+        holds: a recording's streams come by threads of their own: frames wait until the accelerometer has come as far.
     """
 
-    def __init__(self, sdk: Any, profiles: dict[str, tuple[Any, Any]], filters: bool) -> None:
+    def __init__(self, sdk: Any, profiles: dict[str, tuple[Any, Any]], filters: bool, holds: bool = False) -> None:
         self._sdk = sdk
+        self._holds = holds and "accel" in profiles
+        self._pairs: deque[tuple[Any, Any]] = deque()
         self._waiting: dict[str, deque[Any]] = {name: deque(maxlen=WAITING) for name in ("color", "depth")}
         self._samples: dict[str, deque[list[float]]] = {name: deque(maxlen=IMU_KEPT) for name in ("accel", "gyro")}
         colour, depth = profiles["color"][1], profiles["depth"][1]
@@ -333,26 +342,41 @@ class _Joiner:
     def _compose(self, frame: Any, source: Any) -> None:
         source.frame_ready(source.allocate_composite_frame(self._pair))
 
-    def take(self, frame: Any, number: int) -> RawFrame | None:
-        """A frame of any stream; the RGB-D frame that it completes, if it does."""
+    def take(self, frame: Any) -> None:
+        """A frame of any stream."""
         stream = frame.get_profile().stream_type().name
         if stream in self._samples:
             data = frame.as_motion_frame().get_motion_data()
             self._samples[stream].append([frame.get_timestamp() / 1000.0, data.x, data.y, data.z])
-            return None
+            return
         if stream not in self._waiting:
-            return None
+            return
         self._waiting[stream].append(frame)
         other = self._waiting["depth" if stream == "color" else "color"]
         near = [f for f in other if abs(f.get_timestamp() - frame.get_timestamp()) <= 1000.0 * MAX_APART_S]
         if not near:
-            return None
+            return
         partner = min(near, key=lambda f: abs(f.get_timestamp() - frame.get_timestamp()))
         colour, depth = (frame, partner) if stream == "color" else (partner, frame)
         for name, last in (("color", colour), ("depth", depth)):
             while self._waiting[name] and self._waiting[name][0].get_timestamp() <= last.get_timestamp():
                 self._waiting[name].popleft()
-        return self._join(colour, depth, number)
+        self._pairs.append((colour, depth))
+
+    def next(self, number: int, ended: bool) -> RawFrame | None:
+        """The next RGB-D frame, if one is complete.
+
+        Args:
+            number: for its name.
+            ended: nothing more comes.
+        """
+        if not self._pairs:
+            return None
+        time_s = self._pairs[0][0].get_timestamp() / 1000.0
+        felt = self._samples["accel"]
+        if self._holds and not ended and len(self._pairs) <= HELD and not (felt and felt[-1][0] > time_s):
+            return None
+        return self._join(*self._pairs.popleft(), number)
 
     def _join(self, colour: Any, depth: Any, number: int) -> RawFrame:
         for step in self._filters:
@@ -368,11 +392,16 @@ class _Joiner:
             rgb = np.ascontiguousarray(rgb[..., ::-1])
         unit_m = np.float32(depth.as_depth_frame().get_units())
         depth_m = np.asanyarray(depth.get_data()).astype(np.float32) * unit_m
-        samples = [np.array(self._samples[name]) if self._samples[name] else no_samples() for name in ("accel", "gyro")]
-        for rows in self._samples.values():
-            rows.clear()
         time_s = colour.get_timestamp() / 1000.0
+        samples = [self._felt(name, time_s) for name in ("accel", "gyro")]
         return RawFrame(f"frame_{number:06d}", time_s, rgb, depth_m, self._lens, imu=ImuSamples(*samples))
+
+    def _felt(self, name: str, time_s: float) -> np.ndarray:
+        """(k, 4) samples since the last frame; where frames are held, those of after this one stay."""
+        rows, taken = self._samples[name], []
+        while rows and not (self._holds and rows[0][0] > time_s):
+            taken.append(rows.popleft())
+        return np.array(taken) if taken else no_samples()
 
 
 def _post_processing(sdk: Any) -> list[Any]:
