@@ -64,9 +64,9 @@ class AugmentationConfig:
     matched_depth: float = 0.6
     corrupt_depth: float = 0.3
     drop_colour: float = 0.06
-    drop_depth: float = 0.18
-    other_depth: float = 0.12
-    meaningless_depth: float = 0.06
+    drop_depth: float = 0.2
+    other_depth: float = 0.05
+    meaningless_depth: float = 0.04
 
     def __post_init__(self) -> None:
         for name in _PROBABILITIES:
