@@ -40,7 +40,7 @@ ALIASES = {"recurrentppo": "ppo_lstm"}
 ON_POLICY = ("ppo", "a2c", "trpo", "ppo_lstm")
 DATA_FILE, PARAMETERS_FILE = "data", "policy.pth"
 
-_CORE = "numpy._core" if hasattr(np, "_core") else "numpy.core"
+_CORE = "numpy._core" if np.lib.NumpyVersion(np.__version__) >= "2.0.0" else "numpy.core"  # 1.26 has a stub of both
 _PLAIN = {
     ("numpy", "dtype"),
     ("numpy", "ndarray"),
