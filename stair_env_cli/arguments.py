@@ -45,7 +45,7 @@ def add_backend_argument(parser: argparse.ArgumentParser) -> None:
         "--backend",
         choices=BACKENDS,
         default="onnx",
-        help="what runs the network; OpenVINO needs stair-env[openvino] (%(default)s)",
+        help="what runs the network; openvino is an extra, -cuda and -tensorrt need a graphics card (%(default)s)",
     )
 
 

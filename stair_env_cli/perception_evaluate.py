@@ -21,7 +21,7 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
-SUITES = ("stairnetv2", "robust", "classical", "paper", "speed")
+SUITES = ("stairnetv2", "robust", "classical", "paper", "speed", "gpu")
 WEIGHED_FRAMES = 64  # of the robust suite's figure
 CLASSICAL_IMAGES = ("colour", "depth")
 
@@ -39,7 +39,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "the paper on --data: it trains in --runs what is not trained yet (StairNetV2 with each fusion stage and with "
         "fixed weights, StairNet, the region detector), goes on where it was killed, and writes table2.json, "
         "table3.json and table6.json, and a picture of what each method finds, into --results. --suite speed writes "
-        "table4.json there: sizes and run times of each --width, all back ends by turns.",
+        "table4.json there: sizes and run times of each --width, all back ends by turns. --suite gpu writes "
+        "gpu.json: a graphics card beside the processor; without a card it says so.",
     )
     parser.add_argument("--suite", choices=SUITES, default="stairnetv2", help="what is scored (%(default)s)")
     parser.add_argument("--data", type=Path, help="labelled set; rendered into --render-to when not given")
@@ -79,7 +80,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     paper.add_argument("--trained-only", action="store_true", help="train nothing: tables of the rows that are trained")
     paper.add_argument("--threads", type=positive_int, help="threads of torch (all cores; speed suite: 1)")
-    speed = parser.add_argument_group("speed suite")
+    speed = parser.add_argument_group("speed and gpu suites")
     speed.add_argument("--rounds", type=positive_int, default=15, help="turns of each back end (%(default)s)")
     tuning = parser.add_argument_group("classical and paper suites")
     tuning.add_argument(
@@ -103,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
         "classical": _run_classical,
         "paper": _run_paper,
         "speed": _run_speed,
+        "gpu": _run_gpu,
     }
     return suites[args.suite](args)
 
@@ -237,6 +239,21 @@ def _run_speed(args: argparse.Namespace) -> int:
         ratios = ", ".join(f"{name} {value:.2f}" for name, value in row["times_eager"].items())
         size = f"{row['parameters']} parameters, {row['state_dict_mb']} MB (paper {row['paper_mb']})"
         print(f"{row['width']:g}x: {size}; ms a frame: {times}; times as fast as eager: {ratios}")
+    print("\n".join(f"  {note}" for note in report["notes"]))
+    return 0
+
+
+def _run_gpu(args: argparse.Namespace) -> int:
+    from perception.reproduction.gpu_speed import gpu_table
+
+    bar = functools.partial(progress, description="gpu")
+    report = gpu_table([float(width) for width in args.width], args.rounds, progress=bar)
+    write_json(args.results / "gpu.json", report, seed=args.seed)
+    if args.json:
+        write_json(args.json, report, seed=args.seed)
+    for row in report["rows"]:
+        times = ", ".join(f"{name} {value:.2f}" for name, value in row["ms"].items())
+        print(f"{row['width']:g}x, batches of {row['batch']}: ms a frame: {times}; training {row['training_ms']:.2f}")
     print("\n".join(f"  {note}" for note in report["notes"]))
     return 0
 

@@ -19,6 +19,7 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
+ACCELERATORS = ("auto", "cpu", "gpu")
 VALIDATION_FRAMES = 60  # after each epoch, in each of four conditions of depth
 
 
@@ -59,6 +60,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in --output")
     parser.add_argument("--workers", type=int, default=0, help="processes that read frames (%(default)s)")
     parser.add_argument("--threads", type=positive_int, help="threads of torch (all cores)")
+    parser.add_argument(
+        "--accelerator", choices=ACCELERATORS, default="auto", help="auto takes a graphics card if there is one"
+    )
+    parser.add_argument(
+        "--devices", type=positive_int, default=1, help="graphics cards, or processes, that share a batch (%(default)s)"
+    )
     parser.add_argument("--export", type=Path, metavar="DIR", help="folder for the weights (--output)")
     add_common_arguments(parser)
 
@@ -108,7 +115,9 @@ def run(args: argparse.Namespace) -> int:
     if args.start_from:
         source = load_starting_point(args.start_from, float(args.width), args.fusion_stage, args.seed)
         module.network.load_state_dict(source.state_dict())
-    train(module, frames, args.output, resume=args.resume)
+    train(module, frames, args.output, resume=args.resume, accelerator=args.accelerator, devices=args.devices)
+    if not module.trainer.is_global_zero:  # of several processes the first one writes
+        return 0
     metrics = {name: round(float(value), 4) for name, value in module.trainer.callback_metrics.items()}
     card = {
         "model": "StairNetV2",
@@ -116,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
         "fusion_stage": args.fusion_stage,
         "preset": args.preset,
         "training": dataclasses.asdict(preset),
+        "devices": args.devices,
         "started_from": args.start_from.name if args.start_from else None,
         "data": str(args.data.name),
         "metrics": metrics,

@@ -1,6 +1,7 @@
 """Runs the network on letterboxed frames: ONNX Runtime (fast on CPUs, no torch needed), OpenVINO (faster) or torch.
 
-Every back end takes and gives the same numpy arrays, for any batch size, and they agree to 1e-3.
+Every back end takes and gives the same numpy arrays, for any batch size, and they agree to 1e-3. Those of graphics
+cards are in `perception.inference.graphics_card`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ import numpy as np
 
 from perception.inference.preprocess import NEAREST_DEPTH_M, close_small_holes, colour_input, depth_input
 from perception.inference.weights import DENSE_UP_TO_WIDTH, WeightsError, load_network, weights_path
-from stair_env.common.constants import BACKENDS, EXPORTED_BACKENDS, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
+from stair_env.common.constants import (
+    BACKENDS,
+    EXPORTED_BACKENDS,
+    GPU_BACKENDS,
+    GRID_COLUMNS,
+    GRID_ROWS,
+    IMAGE_SIZE,
+)
 from stair_env.common.importing.extras import naming_extras
 from stair_env.common.validation import check_choice
 
@@ -23,6 +31,7 @@ if TYPE_CHECKING:
     from perception.network import StairNetV2
 
 MAX_BATCH = 8  # frames that torch runs at once: larger batches only push intermediate results out of the cache
+PROVIDERS = {"onnx-cuda": "CUDAExecutionProvider", "onnx-tensorrt": "TensorrtExecutionProvider"}  # ONNX Runtime's names
 
 
 class BackendError(ValueError):
@@ -66,7 +75,7 @@ class OnnxBackend:
             raise WeightsError(f"{file}: no such file")
         self._threads = _check_threads(threads) or _available_cores()
         self._session = _open_session(file, _check_threads(threads) or 0)
-        _check_network(file, self._session)
+        check_network(file, self._session)
         # Several frames: each on one thread of its own, which need not wait for the others at every layer.
         self._alone = _open_session(file, 1) if self._threads > 1 else self._session
 
@@ -101,7 +110,7 @@ def _open_session(file: Path, threads: int) -> Any:
         raise WeightsError(f"{file}: cannot be loaded: {' '.join(str(error).split())}") from error
 
 
-def _check_network(file: Path, session: Any) -> None:
+def check_network(file: Path, session: Any) -> None:
     """Refuse a model that is no StairNetV2, which would otherwise fail at the first frame.
 
     Raises:
@@ -251,6 +260,7 @@ class TorchBackend:
         device: "cpu", "cuda", ...
 
     Raises:
+        BackendError: torch sees no such device.
         WeightsError: the weights are missing.
     """
 
@@ -268,6 +278,10 @@ class TorchBackend:
 
         if _check_threads(threads):
             torch.set_num_threads(int(threads or 1))
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise BackendError(
+                f"device={device!r}: torch {torch.__version__} sees no graphics card; use the CPU's back ends"
+            )
         source = network if network is not None else load_network(width)
         dense = device == "cpu" and source.width <= DENSE_UP_TO_WIDTH
         self._network = folded(source, dense=dense).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -297,18 +311,18 @@ def make_backend(name: str, width: float = 0.25, threads: int | None = None) -> 
     """A back end over the shipped weights.
 
     Args:
-        name: "onnx", "torch" or "openvino".
+        name: one of BACKENDS.
         width: 1.0, 0.5 or 0.25.
-        threads: see the classes.
+        threads: of the processor; see the classes.
 
     Raises:
         SpecError: no such back end (a ValueError).
-        BackendError: it is not installed.
+        BackendError: it is not installed, or needs a graphics card that is not there.
         WeightsError: no such weights.
     """
     check_choice("backend", name, BACKENDS)
-    if name == "torch":
-        return TorchBackend(width, threads=threads)
+    if name in ("torch", "torch-cuda"):
+        return TorchBackend(width, threads=threads, device="cpu" if name == "torch" else "cuda")
     return make_exported_backend(name, weights_path(width, "onnx"), threads)
 
 
@@ -316,16 +330,20 @@ def make_exported_backend(name: str, path: str | Path, threads: int | None = Non
     """A back end over an exported file.
 
     Args:
-        name: "onnx" or "openvino".
+        name: one of EXPORTED_BACKENDS.
         path: what `perception.inference.weights.export_onnx` wrote.
-        threads: see the classes.
+        threads: of the processor; see the classes.
 
     Raises:
         SpecError: no such back end, or one that reads no exported files (a ValueError).
-        BackendError: it is not installed.
+        BackendError: it is not installed, or needs a graphics card that is not there.
         WeightsError: the file is missing or no network of ours.
     """
     check_choice("backend", name, EXPORTED_BACKENDS)
+    if name in GPU_BACKENDS:
+        from perception.inference.graphics_card import GraphicsCardBackend
+
+        return GraphicsCardBackend(path, PROVIDERS[name])
     return (OnnxBackend if name == "onnx" else OpenVinoBackend)(path=path, threads=threads)
 
 

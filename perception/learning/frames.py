@@ -110,11 +110,18 @@ class GridFrames(Dataset[Batch]):
 
 
 class EpochSampler(Sampler[int]):
-    """A random part of the set, a function of (seed, epoch); no frame twice within an epoch."""
+    """A random part of the set, a function of (seed, epoch); no frame twice within an epoch.
 
-    def __init__(self, size: int, count: int | None, seed: int, epoch: int) -> None:
-        order = np.random.default_rng([seed, epoch]).permutation(size)
-        self._order: list[int] = order[:count].tolist()
+    Args:
+        size: of the set.
+        count: frames of the part; None for all.
+        seed, epoch: see above.
+        rank, devices: of several processes each takes every so-manieth frame, all equally many.
+    """
+
+    def __init__(self, size: int, count: int | None, seed: int, epoch: int, rank: int = 0, devices: int = 1) -> None:
+        order = np.random.default_rng([seed, epoch]).permutation(size)[:count]
+        self._order: list[int] = order[: len(order) // devices * devices][rank::devices].tolist()
 
     def __len__(self) -> int:
         return len(self._order)
@@ -156,13 +163,17 @@ class FrameModule(L.LightningDataModule):
     def _size(self, epoch: int) -> int:
         return IMAGE_SIZE // 2 if self._preset.is_small(epoch) else IMAGE_SIZE
 
+    def _place(self) -> tuple[int, int]:
+        """Which of how many processes this is; each trains on its share of every batch."""
+        return (self.trainer.global_rank, self.trainer.world_size) if self.trainer is not None else (0, 1)
+
     def train_dataloader(self) -> DataLoader[Batch]:
         """Batches of the current epoch."""
         epoch = self.trainer.current_epoch if self.trainer is not None else 0
-        preset = self._preset
+        preset, (rank, devices) = self._preset, self._place()
         frames = GridFrames(self._train, preset.augmentation, self._size(epoch), self._seed, epoch, self._encode)
-        batch = preset.small_batch_size if preset.is_small(epoch) else preset.batch_size
-        sampler = EpochSampler(len(frames), preset.frames_per_epoch, self._seed, epoch)
+        batch = (preset.small_batch_size if preset.is_small(epoch) else preset.batch_size) // devices
+        sampler = EpochSampler(len(frames), preset.frames_per_epoch, self._seed, epoch, rank, devices)
         return DataLoader(frames, batch, sampler=sampler, num_workers=self._workers, drop_last=len(sampler) > batch)
 
     def val_dataloader(self) -> list[DataLoader[Batch]]:
@@ -171,6 +182,7 @@ class FrameModule(L.LightningDataModule):
         for condition in self.conditions:
             frames = GridFrames(self._val, None, size, encode=self._encode, condition=condition)
             count = min(self._validation_frames or len(frames), len(frames))
-            chosen = np.linspace(0, len(frames) - 1, count).round().astype(int).tolist()
+            rank, devices = self._place()
+            chosen = np.linspace(0, len(frames) - 1, count).round().astype(int)[rank::devices].tolist()
             loaders.append(DataLoader(frames, 8, sampler=chosen, num_workers=self._workers))
         return loaders

@@ -8,6 +8,7 @@ epoch draws comes from (seed, epoch), so a resumed run sees the frames that an u
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,6 +46,14 @@ class DetectorTraining(L.LightningModule):
     def __init__(self, network: nn.Module, preset: TrainingPreset) -> None:
         super().__init__()
         self.network, self.preset = network, preset
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """An array of counts or sums, added up over all processes that train."""
+        if self.trainer.world_size == 1:
+            return values
+        together = self.all_gather(torch.as_tensor(np.asarray(values, dtype=np.float64), device=self.device))
+        total: np.ndarray = together.sum(dim=0).cpu().numpy()  # type: ignore[union-attr]
+        return total
 
     def configure_optimizers(self) -> Any:
         """Adam, its rate set before every step by `on_train_batch_start`."""
@@ -111,15 +120,17 @@ class StairNetTraining(DetectorTraining):
 
     def on_validation_epoch_end(self) -> None:
         """Log the metrics, and shift the loss weights when a training epoch has gone before."""
-        counts = sum(self._counts.values(), DetectionCounts())
-        conditions = getattr(self.trainer.datamodule, "conditions", ())  # type: ignore[attr-defined]
+        conditions = getattr(self.trainer.datamodule, "conditions", ("",))  # type: ignore[attr-defined]
+        own = [dataclasses.astuple(self._counts.get(i, DetectionCounts())) for i in range(len(conditions))]
+        by_condition = [DetectionCounts(*map(int, row)) for row in self.summed(np.array(own))]
+        counts = sum(by_condition, DetectionCounts())
         if len(conditions) > 1:
-            self.log_dict({f"val/iou_{name}": self._counts[i].iou for i, name in enumerate(conditions)})
+            self.log_dict({f"val/iou_{name}": by_condition[i].iou for i, name in enumerate(conditions)})
         self.log_dict({"val/accuracy": counts.accuracy, "val/recall": counts.recall})
         self.log("val/iou", counts.iou, prog_bar=True)
         self.log_dict({"weights/x": self.loss_weights.x, "weights/y": self.loss_weights.y})
         if self.preset.dynamic_weights and not self.trainer.sanity_checking:
-            self.loss_weights = self.loss_weights.updated(*self._errors.tolist())
+            self.loss_weights = self.loss_weights.updated(*self.summed(self._errors).tolist())
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Keep the dynamic weights."""
@@ -147,6 +158,8 @@ def train(
     *,
     resume: bool = False,
     progress: bool = True,
+    accelerator: str = "auto",
+    devices: int = 1,
 ) -> None:
     """Train, writing checkpoints and TensorBoard events; leaves `module.network` in evaluation mode.
 
@@ -156,7 +169,15 @@ def train(
         output: folder for checkpoints (`last.ckpt` after every epoch, `best.ckpt` by validation IOU) and events.
         resume: go on from `last.ckpt` when there is one.
         progress: whether to show a bar.
+        accelerator: Lightning's name, "cpu", "gpu" or "auto".
+        devices: processes that share every batch, on a graphics card each (or all on the processor).
+
+    Raises:
+        ValueError: a batch of the preset is no multiple of devices.
     """
+    for name in ("batch_size", "small_batch_size"):
+        if devices < 1 or getattr(module.preset, name) % devices:
+            raise ValueError(f"devices={devices!r} must divide the preset's {name}={getattr(module.preset, name)}")
     # Channels-last must stay off while training: torch's CPU kernels for dilated grouped convolutions corrupt memory.
     last = output / "last.ckpt"
     keep = [
@@ -164,7 +185,10 @@ def train(
         ModelCheckpoint(output, filename="last", save_top_k=1, monitor=None, enable_version_counter=False),
     ]
     trainer = L.Trainer(
-        accelerator="auto",
+        accelerator=accelerator,
+        devices=devices,
+        strategy="ddp" if devices > 1 else "auto",
+        use_distributed_sampler=False,  # `FrameModule` gives each process its share
         precision=module.preset.precision,
         max_epochs=module.preset.epochs,
         default_root_dir=output,

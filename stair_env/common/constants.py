@@ -60,8 +60,9 @@ CELL_WIDTH_PX = IMAGE_SIZE // GRID_COLUMNS
 NETWORK_WIDTHS = (1.0, 0.5, 0.25)  # channel width factors of the three published versions (paper, table 4)
 FUSION_STAGES = (2, 3, 4)  # down-samplings before colour and depth are fused (paper, table 2)
 TRAINING_PRESETS = ("fast", "paper", "robust")
-BACKENDS = ("onnx", "torch", "openvino")
-EXPORTED_BACKENDS = ("onnx", "openvino")  # those that read .onnx files
+BACKENDS = ("onnx", "torch", "openvino", "onnx-cuda", "onnx-tensorrt", "torch-cuda")
+EXPORTED_BACKENDS = ("onnx", "openvino", "onnx-cuda", "onnx-tensorrt")  # those that read .onnx files
+GPU_BACKENDS = ("onnx-cuda", "onnx-tensorrt", "torch-cuda")  # those that need a graphics card
 
 # Measuring stairs.
 GEOMETRY_METHODS = ("planes", "paper")

@@ -1,4 +1,7 @@
 import dataclasses
+import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -59,6 +62,36 @@ def test_epochs_draw_without_repetition_and_differ():
     assert first == again != second
     assert len(set(first)) == 60
     assert len(EpochSampler(10, None, 0, 0)) == 10
+
+
+def test_several_processes_share_an_epoch_without_overlap():
+    whole = list(EpochSampler(101, 61, seed=3, epoch=2))
+    shares = [list(EpochSampler(101, 61, seed=3, epoch=2, rank=rank, devices=3)) for rank in range(3)]
+    assert {len(share) for share in shares} == {20}
+    assert sorted(index for share in shares for index in share) == sorted(whole[:60])
+
+
+def test_a_batch_that_cannot_be_shared_is_refused(data, tmp_path):
+    module = StairNetTraining(0.25, QUICK)
+    with pytest.raises(ValueError, match="devices=3 must divide the preset's batch_size=2"):
+        train(module, FrameModule(data, QUICK), tmp_path, devices=3)
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_and_one_writes(data, tmp_path):
+    """Validation counts all frames, shared out; weights and card are whole."""
+    command = [
+        sys.executable, "-m", "stair_env_cli.main", "perception-train", "--data", str(data), "--epochs", "1",
+        "--frames-per-epoch", "4", "--small-share", "1", "--accelerator", "cpu", "--threads", "1",
+    ]  # fmt: skip
+    cards = {}
+    for devices in ("1", "2"):
+        output = tmp_path / devices
+        subprocess.run([*command, "--devices", devices, "--output", str(output)], check=True, timeout=500)
+        cards[devices] = json.loads((output / "stairnetv2_025.json").read_text())
+    assert cards["1"]["devices"] == 1 and cards["2"]["devices"] == 2
+    iou = [cards[devices]["metrics"]["val/iou_model"] for devices in ("1", "2")]
+    assert all(0.0 <= value <= 100.0 for value in iou)
 
 
 def test_half_size_labels_follow_the_image():
