@@ -24,8 +24,8 @@ PROCESSOR = "onnx"  # what the cards are compared with
 BATCHES = (1, 8, 32)
 TRAINING_BATCH = 8
 NOTE = (
-    "Milliseconds of one frame, from uint8 colour and metres in memory to the two grids in memory: medians of rounds in "
-    "which all back ends of a width take turns. off_processor: the largest difference of any score from ONNX Runtime "
+    "Milliseconds of one frame, from uint8 colour and metres in memory to the two grids in memory: medians of rounds "
+    "in which all back ends of a width take turns. off_processor: the largest difference of any score from ONNX Runtime "
     "on the processor. training_ms: forward, backward and Adam's step in bfloat16, a frame."
 )
 
