@@ -82,13 +82,16 @@ class StairNetTraining(DetectorTraining):
         width: of the network.
         preset: how to train.
         fusion_stage: of the network.
+        network: trained instead of one that is made of width and fusion_stage.
     """
 
     network: StairNetV2
 
-    def __init__(self, width: float, preset: TrainingPreset, fusion_stage: int = 2) -> None:
-        network = StairNetV2(width, fusion_stage).use_dense_convolutions(not torch.cuda.is_available())
-        super().__init__(network, preset)
+    def __init__(
+        self, width: float, preset: TrainingPreset, fusion_stage: int = 2, network: StairNetV2 | None = None
+    ) -> None:
+        trained = network if network is not None else StairNetV2(width, fusion_stage)
+        super().__init__(trained.use_dense_convolutions(not torch.cuda.is_available()), preset)
         self.loss_weights = LossWeights() if preset.dynamic_weights else LossWeights.fixed()
         self._counts: dict[int, DetectionCounts] = {}
         self._errors = np.zeros(2)

@@ -25,8 +25,8 @@ BATCHES = (1, 8, 32)
 TRAINING_BATCH = 8
 NOTE = (
     "Milliseconds of one frame, from uint8 colour and metres in memory to the two grids in memory: medians of rounds "
-    "in which all back ends of a width take turns. off_processor: the largest difference of any score from ONNX Runtime "
-    "on the processor. training_ms: forward, backward and Adam's step in bfloat16, a frame."
+    "in which all back ends of a width take turns. off_processor: largest difference of a score from ONNX Runtime on "
+    "the processor. training_ms: forward, backward and Adam's step in bfloat16, a frame."
 )
 
 

@@ -25,6 +25,7 @@ from perception.reproduction.baselines.baseline_training import (
     roi_arrays,
     stairnet_arrays,
 )
+from perception.reproduction.baselines.other_fusions import ConcatenatingStairNet, FourChannelStairNet
 from stair_env.common.files import atomic_path
 
 VALIDATION_FRAMES = 16  # after each epoch: enough for the sign of equations 5 and 6, and cheap beside the epoch
@@ -79,6 +80,10 @@ def _v2(fusion_stage: int = 2, *, dynamic: bool = True) -> LearnedRow:
     return LearnedRow(make)
 
 
+def _other_fusion(network: type[ConcatenatingStairNet | FourChannelStairNet]) -> LearnedRow:
+    return LearnedRow(lambda width, preset: StairNetTraining(width, preset, network=network(width)))
+
+
 # In the order of training, the rows of table 6 first.
 LEARNED_ROWS: dict[str, LearnedRow] = {
     "stairnetv2": _v2(),
@@ -87,6 +92,8 @@ LEARNED_ROWS: dict[str, LearnedRow] = {
     "stairnetv2_fixed_weights": _v2(dynamic=False),
     "stairnetv2_fusion_3": _v2(3),
     "stairnetv2_fusion_4": _v2(4),
+    "concatenation": _other_fusion(ConcatenatingStairNet),
+    "four_channels": _other_fusion(FourChannelStairNet),
 }
 
 

@@ -22,28 +22,31 @@ Scores = Mapping[str, Sequence[Mapping[str, Tally]]]  # row -> per training seed
 
 @dataclass(frozen=True)
 class PaperRow:
-    """One row of a table of the paper: per cent, day and night together.
+    """One row of a table of the paper, or of ours beside it: per cent, day and night together.
 
     Attributes:
         row: our key of it.
         model: our name of it.
-        accuracy, recall, iou: per cent.
+        accuracy, recall, iou: per cent; None for rows that the paper does not have.
         width: channel width factor that the figures belong to; None for what has none.
         runtime_ms: with an R9 5950X and an RTX A4000; table 6 only.
     """
 
     row: str
     model: str
-    accuracy: float
-    recall: float
-    iou: float
+    accuracy: float | None = None
+    recall: float | None = None
+    iou: float | None = None
     width: float | None = None
     runtime_ms: float | None = None
 
 
-# Rows from the lowest to the highest IOU in the paper. Table 6 has StairNet and StairNetV2 in three widths; 0.25 here.
+# Rows from the lowest to the highest IOU in the paper; before them those that it does not have. Table 6 has StairNet
+# and StairNetV2 in three widths; 0.25 here.
 PAPER_TABLES: dict[int, tuple[PaperRow, ...]] = {
     2: (
+        PaperRow("four_channels", "colour and depth as one image of four channels"),
+        PaperRow("concatenation", "fusion by concatenation after the second down-sampling"),
         PaperRow("stairnetv2_fusion_4", "fusion after the fourth down-sampling", 90.35, 92.37, 84.08, 1.0),
         PaperRow("stairnetv2_fusion_3", "fusion after the third down-sampling", 91.52, 92.96, 85.59, 1.0),
         PaperRow("stairnetv2", "fusion after the second down-sampling", 91.99, 93.15, 86.16, 1.0),
@@ -89,7 +92,8 @@ def table_rows(
             row["iou_range"] = [round(min(ious), 2), round(max(ious), 2)]
         if split == "all":
             row["cpu_ms"] = round(cpu_ms[paper.row], 1)
-            row |= {f"paper_{name}": getattr(paper, name) for name in MEASURES}
+            if paper.iou is not None:
+                row |= {f"paper_{name}": getattr(paper, name) for name in MEASURES}
             if paper.runtime_ms is not None:
                 row["paper_ms"] = paper.runtime_ms
         rows.append(row)
@@ -113,13 +117,14 @@ def order_note(table: int, scores: Scores) -> str:
     names = {paper.row: paper.model for paper in PAPER_TABLES[table] if paper.row in scores}
     ious = {row: mean_iou(scores[row]) for row in names}
     ours = " < ".join(f"{names[row]} {ious[row]:.2f}" for row in sorted(ious, key=lambda row: ious[row]))
+    in_paper = [paper.row for paper in PAPER_TABLES[table] if paper.row in names and paper.iou is not None]
     swapped = [
         f"{names[high]} should lead {names[low]} and is {ious[low] - ious[high]:.2f} points behind"
         + (", less than their seeds differ" if _overlap(scores[low], scores[high]) else "")
-        for low, high in itertools.combinations(names, 2)
+        for low, high in itertools.combinations(in_paper, 2)
         if ious[low] > ious[high]
     ]
-    if len(ious) < 2:
+    if len(in_paper) < 2:
         return f"By IOU: {ours}."
     verdict = "the paper's order" if not swapped else f"not the paper's order: {'; '.join(swapped)}"
     return f"By IOU: {ours} — {verdict}."
