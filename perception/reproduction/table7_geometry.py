@@ -2,8 +2,8 @@
 
 Every staircase is photographed from random poses by day and by night, going up and going down, through the errors of
 a D435i and its IMU. Every frame that shows one of the three nearest steps is one measurement of it; the root mean
-square errors are over all of them, nothing averaged first. The paper's own fit and an uncalibrated depth scale are
-measured on the same frames.
+square errors are over all of them, nothing averaged first. The paper's own fit, an uncalibrated depth scale, and the
+level planes of the point cloud without any lines are measured on the same frames.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from perception.estimator import StairEstimator
 from perception.geometry.results import StairEstimate
+from perception.reproduction.baselines.point_planes import measure_point_planes
 from perception.reproduction.ideal_detector import IdealDetector
 from stair_env.common.constants import BACKENDS, DEPTH_SOURCES, MEASURED_DETECTORS, NOMINAL_GRAVITY_M_S2
 from stair_env.common.transforms import look_along
@@ -265,7 +266,8 @@ def steps_of(estimate: StairEstimate, profile: StairProfile, camera_x: float) ->
             yield index, step.width_m, step.height_m
 
 
-TABLE_METHODS: tuple[str, ...] = ("planes", "paper", "planes, scale bias 2 %")
+POINT_PLANES = "point cloud's level planes"
+TABLE_METHODS: tuple[str, ...] = ("planes", "paper", "planes, scale bias 2 %", POINT_PLANES)
 
 
 class _Bench:
@@ -289,8 +291,12 @@ class _Bench:
             TABLE_METHODS[2]: (self.planes, shot.depth_uncalibrated_m),
         }
         profile = spec.profile()
-        for name, (estimator, depth) in ways.items():
-            estimate = estimator.interpret(cls, loc, depth, shot.intrinsics, shot.gravity)
+        estimates = {
+            name: estimator.interpret(cls, loc, depth, shot.intrinsics, shot.gravity)
+            for name, (estimator, depth) in ways.items()
+        }
+        estimates[POINT_PLANES] = measure_point_planes(shot.depth_m, shot.intrinsics, shot.gravity)
+        for name, estimate in estimates.items():
             found = {index: (w, h) for index, w, h in steps_of(estimate, profile, shot.camera_x)}
             errors = self.errors[name, spec.direction, lighting]
             errors.possible += MEASURED_STEPS
