@@ -19,26 +19,22 @@ SHARP_BEND_PX = 0.5  # second difference of disparity over cells from which a cr
 TEXTURE_HELPS = 0.7  # share of those losses that full texture saves
 
 
-def hole_corners(config: DepthErrorConfig, unit: DepthUnit, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+def hole_corners(config: DepthErrorConfig, unit: DepthUnit, statistics: np.ndarray) -> np.ndarray:
     """Probabilities of a hole and of a band lost along the rows, at the corners of the cells.
 
     Args:
         config: what is wrong with the depth.
         unit: of the camera, in its light.
-        rgb: uint8 (H, W, 3).
-        disparity: float32 (H, W), 0 where nothing is.
+        statistics: (4, h, w) float32 of the cells, see `scene_kernels.see_rows`.
 
     Returns:
         (2, h + 1, w + 1) float32: holes, bands.
     """
-    from stair_env.sensors.camera.depth_model import depth_kernels as kernels
-
-    rows, columns = (-(-side // kernels.CELL_PX) for side in disparity.shape)
+    level, texture, glare, mean = statistics
     config_sum = config.speckle + config.textureless_dropout + config.dark_dropout + config.specular_dropout
     if config_sum + config.lost_treads == 0.0:
+        rows, columns = level.shape
         return np.zeros((2, rows + 1, columns + 1), np.float32)
-    level, texture, glare, mean = (np.empty((rows, columns), np.float32) for _ in range(4))
-    kernels.cell_statistics(np.ascontiguousarray(rgb), disparity, level, texture, glare, mean)
     focal_baseline = np.float32(config.focal_px * config.baseline_m)
     holes = hole_probability(config, level, texture, glare, mean / focal_baseline, unit.reach)
     return np.stack([_corner_means(holes), _corner_means(lost_probability(config, unit.severity, texture, mean))])
