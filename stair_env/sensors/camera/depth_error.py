@@ -32,7 +32,8 @@ __all__ = ["DepthErrorConfig", "DepthErrorModel", "depth_rms_m", "shadow_width_p
 EDGE_JUMP_PX = 0.5  # disparity step below which a matching window spans an edge without harm
 CREASE_LIMIT_PX = 0.75  # of disparity; what a window's mean is further off is a jump, where one side wins
 _OFFSETS = 22  # random numbers drawn per frame, the same for every configuration
-_FRESH = [8, 9, 16, 17]  # those that change even while the camera stands still: noise and single holes
+# Those that change even while the camera stands still: noise and single holes.
+_FRESH = np.isin(np.arange(_OFFSETS), [8, 9, 16, 17])
 
 
 class DepthErrorModel:
@@ -141,7 +142,7 @@ class DepthErrorModel:
         """(_OFFSETS,) int64 where in the noise tables a frame begins."""
         offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
         if standing and self._offsets is not None:
-            offsets = np.where(np.isin(np.arange(_OFFSETS), _FRESH), offsets, self._offsets)
+            offsets = np.where(_FRESH, offsets, self._offsets)
         self._offsets = offsets
         return offsets
 
