@@ -74,7 +74,6 @@ def measure_rows(
     """
     height, width = disparity.shape
     side = normal.shape[0]
-    fresh_px, held_px, unit_px = noise_px
     zero = np.float32(0.0)
     patched = (false_patches[0] > zero) | (false_patches[1] > zero)
     mark = np.zeros(-(-width // 8) * 8, np.uint8)

@@ -92,9 +92,7 @@ class Places:
 
 
 @functools.lru_cache(maxsize=16)
-def _places(
-    shift_px: tuple[float, float], focal_error: float, intrinsics: Intrinsics, magnification: float
-) -> Places:
+def _places(shift_px: tuple[float, float], focal_error: float, intrinsics: Intrinsics, magnification: float) -> Places:
     right, down = (magnification * shift for shift in shift_px)
     columns = _sources(intrinsics.width, intrinsics.cx, right, focal_error)
     rows = _sources(intrinsics.height, intrinsics.cy, down, focal_error)

@@ -1,8 +1,8 @@
 """Compiled loops from a drawn depth image to what the two imagers of a stereo camera have in common.
 
-As in `depth_kernels`, everything works on disparities, nothing is drawn and nothing kept, and every pixel depends on its
-inputs alone, so that results do not depend on how the rows are divided. Importing this module loads numba: do so when a
-frame is processed.
+As in `depth_kernels`, everything works on disparities, nothing is drawn and nothing kept, and every pixel depends on
+its inputs alone, so that results do not depend on how the rows are divided. Importing this module loads numba: do so
+when a frame is processed.
 """
 
 from __future__ import annotations

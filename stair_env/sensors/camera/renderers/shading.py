@@ -429,7 +429,12 @@ def _bounds(f, low, high):  # type: ignore[no-untyped-def]
         p, s = PX + a * AREA, SCRATCH + a * _EIGHTH
         for k in range(_EIGHTH):
             x0, x1, x2, x3 = f[p + k], f[p + _EIGHTH + k], f[p + 2 * _EIGHTH + k], f[p + 3 * _EIGHTH + k]
-            x4, x5, x6, x7 = f[p + 4 * _EIGHTH + k], f[p + 5 * _EIGHTH + k], f[p + 6 * _EIGHTH + k], f[p + 7 * _EIGHTH + k]
+            x4, x5, x6, x7 = (
+                f[p + 4 * _EIGHTH + k],
+                f[p + 5 * _EIGHTH + k],
+                f[p + 6 * _EIGHTH + k],
+                f[p + 7 * _EIGHTH + k],
+            )
             f[s + k] = min(min(min(x0, x1), min(x2, x3)), min(min(x4, x5), min(x6, x7)))
             f[s + AREA + k] = max(max(max(x0, x1), max(x2, x3)), max(max(x4, x5), max(x6, x7)))
     for a in range(3):

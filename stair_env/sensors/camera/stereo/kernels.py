@@ -37,8 +37,7 @@ def light_from_projector(
         irradiance: (H, W) float32, written: cosine of incidence over the distance squared, 1 / m^2.
     """
     height, width = depth_m.shape
-    rows = np.empty((3, width + 2), np.float64)  # inverse depths of three rows, infinite where and beside which nothing is
-    rows[:] = np.inf
+    rows = np.empty((3, width + 2), np.float64)  # inverse depths of three rows, infinite where nothing is
     for band in bands:
         first, end = band * BAND_PX, min((band + 1) * BAND_PX, height)
         _invert(depth_m[max(first - 1, 0)], rows[(first - 1) % 3])
