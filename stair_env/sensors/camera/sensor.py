@@ -42,7 +42,7 @@ class CameraConfig(JsonSpec):
         latency_s: from capture until the frame is available (80 to 140 ms on robots).
         latency_jitter_s: each frame's latency is drawn evenly within plus and minus this.
         depth: "model" applies `depth_error` to exact depth and is fast; "stereo" renders the infrared pair and matches
-            it as `stereo` says, which is what real depth looks like and takes four to eight times as long.
+            it as `stereo` says, which is what real depth looks like and takes six to nine times as long.
         depth_error: errors of the modelled depth.
         stereo: the matched depth's camera.
         colour_error: errors of the colour image.
