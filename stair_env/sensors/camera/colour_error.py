@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -190,15 +191,13 @@ class ColourErrorModel:
 
         height, width, _ = rgb.shape
         gains = np.tile((exposure * self._white_balance).astype(np.float32), width)
-        x = np.repeat((2.0 * np.arange(width) + 1.0) / width - 1.0, 3)
-        column_radius_2 = (x * x / (1.0 + (height / width) ** 2)).astype(np.float32)
         # Demosaicking spreads part of each photosite's noise over its neighbours.
         noise = gaussian_tile((0.0, 0.8), (0.6, 0.4), width, 2, channels=3)
         out = np.empty((height, 3 * width), np.uint8)
         kernels.expose(
             rgb.reshape(height, 3 * width),
             gains,
-            column_radius_2,
+            _column_radius_2(height, width),
             np.float32(self._vignetting),
             np.float32(self.config.shot_variance * gain),
             np.float32((self.config.read_noise * gain) ** 2),
@@ -210,6 +209,14 @@ class ColourErrorModel:
         return out.reshape(height, width, 3)
 
 
+@lru_cache(maxsize=8)
+def _column_radius_2(height: int, width: int) -> np.ndarray:
+    """(3 W,) float32 squared horizontal distance of each channel's pixel from the centre; 1 is a corner's distance."""
+    x = np.repeat((2.0 * np.arange(width) + 1.0) / width - 1.0, 3)
+    return (x * x / (1.0 + (height / width) ** 2)).astype(np.float32)
+
+
+@lru_cache(maxsize=32)
 def blur_weights(sigma_px: float) -> np.ndarray:
     """Middle and one side of a Gaussian kernel of sum 1, (r + 1,) float32; (1,) when it would not change 8 bits."""
     if sigma_px < 0.15:

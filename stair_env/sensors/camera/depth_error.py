@@ -8,6 +8,7 @@ to millimetres. docs/sensors.md lists every number with its source.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,7 @@ from stair_env.sensors.camera.depth_model.depth_holes import hole_corners
 from stair_env.sensors.camera.depth_model.depth_noise import (
     after_filters,
     false_patches,
+    is_exact,
     noise_px,
     noise_tables,
 )
@@ -30,7 +32,8 @@ __all__ = ["DepthErrorConfig", "DepthErrorModel", "depth_rms_m", "shadow_width_p
 EDGE_JUMP_PX = 0.5  # disparity step below which a matching window spans an edge without harm
 CREASE_LIMIT_PX = 0.75  # of disparity; what a window's mean is further off is a jump, where one side wins
 _OFFSETS = 22  # random numbers drawn per frame, the same for every configuration
-_FRESH = [8, 9, 16, 17]  # those that change even while the camera stands still: noise and single holes
+# Those that change even while the camera stands still: noise and single holes.
+_FRESH = np.isin(np.arange(_OFFSETS), [8, 9, 16, 17])
 
 
 class DepthErrorModel:
@@ -99,104 +102,119 @@ class DepthErrorModel:
         intrinsics: Intrinsics,
         rng: np.random.Generator,
         standing: bool = False,
+        seen_m: tuple[float, float] = (0.0, math.inf),
     ) -> Callable[[], np.ndarray]:
-        """Draw all that `apply` draws and begin; the function that is returned does the rest, in any thread."""
+        """Draw all that `apply` draws and begin; the function that is returned does the rest, in any thread.
+
+        Args:
+            depth_m, rgb, intrinsics, rng, standing: as for `apply`.
+            seen_m: depths outside, nearest to farthest, count as no surface.
+        """
         _check_frame(depth_m, rgb, intrinsics, rng)
-        from stair_env.sensors.camera.depth_model import depth_kernels as kernels
-        from stair_env.sensors.camera.renderers.threads import later
+        from stair_env.sensors.camera.depth_model import scene_kernels as kernels
+        from stair_env.sensors.camera.renderers.threads import later, run_rows
 
         offsets = self._place_in_tables(rng, standing)
-        unit = self._unit
-        depth_m = unit.off_colour(np.ascontiguousarray(depth_m), intrinsics, intrinsics.fx / self.config.focal_px)
+        unit, config = self._unit, self._effective
+        depth_m, rgb = np.ascontiguousarray(depth_m), np.ascontiguousarray(rgb)
+        magnification = intrinsics.fx / config.focal_px  # image pixels per pixel of the depth imager
         buffers = self._borrow_buffers(depth_m.shape)
-        kernels.to_disparity(depth_m, self._focal_baseline(), buffers[0])
-        corners = later(lambda: hole_corners(self._effective, unit, rgb, buffers[0]))
-        return lambda: self._measure(depth_m, intrinsics, unit, offsets, buffers, corners)
+        disparity, measured, exact_m = buffers
+        exact_m = exact_m if is_exact(config, unit) else exact_m[:0]
+        places, shifts = unit.off_colour(intrinsics, magnification), _imager_shifts(config, magnification)
+        nearest_m, farthest_m = seen_m
+        range_m = np.float32(nearest_m), np.float32(farthest_m)
+        rows, columns = (-(-side // kernels.CELL_PX) for side in depth_m.shape)
+        statistics = np.empty((4, rows, columns), np.float32)
+        focal_baseline = self._focal_baseline()
+
+        def see(cells: np.ndarray) -> None:
+            kernels.see_rows(
+                cells, depth_m, rgb, range_m, focal_baseline, places.rows, places.starts, places.sources, shifts,
+                exact_m, disparity, measured, statistics,
+            )  # fmt: skip
+
+        run_rows(see, rows)
+        corners = later(lambda: hole_corners(config, unit, statistics))
+        return lambda: self._measure(magnification, unit, offsets, buffers, exact_m, corners)
 
     def _place_in_tables(self, rng: np.random.Generator, standing: bool) -> np.ndarray:
         """(_OFFSETS,) int64 where in the noise tables a frame begins."""
         offsets = rng.integers(0, TILE_SIDE_PX, size=_OFFSETS)
         if standing and self._offsets is not None:
-            offsets = np.where(np.isin(np.arange(_OFFSETS), _FRESH), offsets, self._offsets)
+            offsets = np.where(_FRESH, offsets, self._offsets)
         self._offsets = offsets
         return offsets
 
     def _measure(
         self,
-        depth_m: np.ndarray,
-        intrinsics: Intrinsics,
+        magnification: float,
         unit: DepthUnit,
         offsets: np.ndarray,
         buffers: np.ndarray,
+        exact_m: np.ndarray,
         corners: Callable[[], np.ndarray],
     ) -> np.ndarray:
-        """Shadows, creases, edges, noise and holes.
+        """Creases, edges, noise and holes.
 
         Args:
-            depth_m: exact, (H, W) float32, metres.
-            intrinsics: of the image.
+            magnification: image pixels per pixel of the depth imager.
             unit: of the camera.
             offsets: places in the noise tables where this frame begins.
-            buffers: (3, H, W) float32, the first the exact disparity, the others scratch; given back.
+            buffers: (3, H, W) float32, the exact disparity, the same with shadows, and scratch; given back.
+            exact_m: (H, W) float32, exact depth, metres; (0, W) where it is not needed.
             corners: returns `hole_corners`.
         """
-        from stair_env.sensors.camera.depth_model import crease_kernels
         from stair_env.sensors.camera.depth_model import depth_kernels as kernels
+        from stair_env.sensors.camera.renderers.threads import run_rows
 
-        config, width = self._effective, depth_m.shape[1]
-        magnification = intrinsics.fx / config.focal_px  # image pixels per pixel of the depth imager
+        config = self._effective
+        disparity, measured, _ = buffers
+        height, width = disparity.shape
         normal, broad, uniform, streaks, white = noise_tables(config.window_px, magnification, width)
-
-        mark = np.empty(-(-width // 8) * 8, np.uint8)
-        scratch = np.zeros((4, width + kernels.CELL_PX), np.float32)
-        disparity, measured, blurred = buffers
-        right, left = _imager_shifts(config, magnification)
-        kernels.hide_shadows(disparity, np.float32(right), np.float32(left), np.float32(1.0), mark, measured)
-        half = round((unit.crease_window_px * magnification - 1.0) / 2.0)
-        if half > 0:
-            limit = np.float32(CREASE_LIMIT_PX)
-            crease_kernels.round_creases(disparity, half, limit, scratch, measured)
-        if config.flying_share + config.fattened_share > 0.0 or config.edge_jitter_px > 0.0:
-            kernels.blur_edges(
-                disparity,
-                measured,
-                max(1, round(config.window_px / 2.0 * magnification)),
-                np.float32(EDGE_JUMP_PX),
-                np.float32(config.edge_jitter_px * magnification),
-                np.float32(config.flying_share),
-                np.float32(config.fattened_share),
-                normal,
-                uniform,
-                offsets,
-                mark,
-                blurred,
-            )
-            measured = blurred
-        out = np.empty_like(depth_m)
-        kernels.finish(
-            measured,
-            depth_m,
-            self._focal_baseline(),
-            noise_px(config, unit),
-            np.float32(config.disparity_quantum_px),
-            np.float32(1.0 + unit.scale_bias),
-            np.float32(config.depth_unit_m),
-            (np.float32(config.min_range_m), np.float32(config.max_range_m)),
-            np.float32(config.single_holes),
-            false_patches(config, unit, int(offsets[20])),
-            corners(),
-            normal,
-            broad,
-            uniform,
-            streaks,
-            white,
-            offsets,
-            unit.place,
-            scratch,
-            out,
+        self._round_creases(disparity, measured, round((unit.crease_window_px * magnification - 1.0) / 2.0))
+        blurred = config.flying_share + config.fattened_share > 0.0 or config.edge_jitter_px > 0.0
+        reach = max(1, round(config.window_px / 2.0 * magnification)) if blurred else 0
+        jitter_px = config.edge_jitter_px * magnification
+        edges = tuple(
+            np.float32(value) for value in (EDGE_JUMP_PX, jitter_px, config.flying_share, config.fattened_share)
         )
+        focal_baseline, noise = self._focal_baseline(), noise_px(config, unit)
+        quantum_px, unit_m = np.float32(config.disparity_quantum_px), np.float32(config.depth_unit_m)
+        scale, single = np.float32(1.0 + unit.scale_bias), np.float32(config.single_holes)
+        range_m = np.float32(config.min_range_m), np.float32(config.max_range_m)
+        patches, chances = false_patches(config, unit, int(offsets[20])), corners()
+        out = np.empty((height, width), np.float32)
+
+        def measure(bands: np.ndarray) -> None:
+            kernels.measure_rows(
+                bands, disparity, measured, exact_m, reach, edges, focal_baseline, noise, quantum_px, scale, unit_m,
+                range_m, single, patches, chances, normal, broad, uniform, streaks, white, offsets, unit.place, out,
+            )  # fmt: skip
+
+        run_rows(measure, -(-height // kernels.BAND_PX))
         self._spare.append(buffers)
         return out
+
+    def _round_creases(self, disparity: np.ndarray, measured: np.ndarray, half: int) -> None:
+        """Round the creases of measured (H, W), in place, by windows that reach half pixels to each side."""
+        if half <= 0:
+            return
+        from stair_env.sensors.camera.depth_model import crease_kernels
+        from stair_env.sensors.camera.renderers.threads import default_threads, run_rows
+
+        height, width = disparity.shape
+        parts = default_threads()  # as few as possible: each repeats the sums of the rows above it
+
+        def round_part(chosen: np.ndarray) -> None:
+            scratch = np.empty((4, width), np.float32)
+            for part in chosen.tolist():
+                begin, end = (height * edge // parts for edge in (part, part + 1))
+                crease_kernels.round_creases(
+                    disparity, half, np.float32(CREASE_LIMIT_PX), scratch, measured, begin, end
+                )
+
+        run_rows(round_part, parts)
 
     def _focal_baseline(self) -> np.float32:
         """Focal length times baseline of the depth imagers, pixels times metres."""
@@ -224,11 +242,11 @@ def shadow_width_px(near_m: float, far_m: float, focal_px: float, baseline_m: fl
     return focal_px * baseline_m * (1.0 / near_m - 1.0 / far_m)
 
 
-def _imager_shifts(config: DepthErrorConfig, magnification: float) -> tuple[float, float]:
+def _imager_shifts(config: DepthErrorConfig, magnification: float) -> tuple[np.float32, np.float32]:
     """Image pixels per pixel of disparity between the image's viewpoint and the right and left imagers."""
     offset_m = D435I_COLOUR_OFFSET_M if config.colour_parallax else 0.0
     right = (config.baseline_m + offset_m) / config.baseline_m if config.occlusion_shadow else 0.0
-    return right * magnification, offset_m / config.baseline_m * magnification
+    return np.float32(right * magnification), np.float32(offset_m / config.baseline_m * magnification)
 
 
 def _check_frame(depth_m: np.ndarray, rgb: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -41,7 +42,7 @@ class CameraConfig(JsonSpec):
         latency_s: from capture until the frame is available (80 to 140 ms on robots).
         latency_jitter_s: each frame's latency is drawn evenly within plus and minus this.
         depth: "model" applies `depth_error` to exact depth and is fast; "stereo" renders the infrared pair and matches
-            it as `stereo` says, which is what real depth looks like and takes four to eight times as long.
+            it as `stereo` says, which is what real depth looks like and takes six to nine times as long.
         depth_error: errors of the modelled depth.
         stereo: the matched depth's camera.
         colour_error: errors of the colour image.
@@ -289,52 +290,43 @@ class RgbdCamera:
 
         moving = moving_shapes() if callable(moving_shapes) else moving_shapes
         frame = self._renderer.render(self.intrinsics, pose, moving=moving)
-        depth = self._in_range(np.asarray(frame.depth_m, dtype=np.float32))
-        motion = self._pixel_motion(time_s, pose, frame.rgb, depth)
+        depth = np.asarray(frame.depth_m, dtype=np.float32)
+        distance_m = middle_distance_m(depth, self.config.near_m, self.config.far_m)
+        motion = self._pixel_motion(time_s, pose, frame.rgb, distance_m)
         colour_work = self._colour_error.begin(frame.rgb, self._rng, motion)
-        depth_work = self._begin_depth(pose, moving, depth, frame.rgb)
+        depth_work = self._begin_depth(pose, moving, depth, frame.rgb, distance_m)
         rgb = later(colour_work)
         reading = RgbdReading(depth_m=depth_work(), rgb=rgb(), captured_at_s=time_s, frame_index=self._captured)
         self._captured += 1
         return reading
 
     def _begin_depth(
-        self, pose: np.ndarray, moving: Sequence[Shape], depth_m: np.ndarray, rgb: np.ndarray
+        self, pose: np.ndarray, moving: Sequence[Shape], depth_m: np.ndarray, rgb: np.ndarray, distance_m: float
     ) -> Callable[[], np.ndarray]:
         """Draw what the depth needs of chance; the function that is returned makes the image."""
         stereo = self._stereo
         if stereo is None:
-            standing = self._is_standing(pose, depth_m)
-            return self._depth_error.begin(depth_m, rgb, self.intrinsics, self._rng, standing)
+            standing = self._is_standing(pose, distance_m)
+            seen_m = self.config.near_m, self.config.far_m
+            return self._depth_error.begin(depth_m, rgb, self.intrinsics, self._rng, standing, seen_m)
         left, right = stereo.infrared_pair(self._renderer, pose, self._rng, moving)
         return lambda: stereo.depth_of_pair(left, right, self.intrinsics)
 
-    def _is_standing(self, pose: np.ndarray, depth_m: np.ndarray) -> bool:
+    def _is_standing(self, pose: np.ndarray, distance_m: float) -> bool:
         """Whether the image has moved less than `_STANDING_PX` since the last frame that counted as another view."""
         before = self._pose_of_frame
         if before is not None:
-            near_m = _middle_distance_m(depth_m, self.config.far_m)
-            turn_rad = Rotation.from_matrix(before[:3, :3].T @ pose[:3, :3]).magnitude()
-            shift = float(np.linalg.norm(pose[:3, 3] - before[:3, 3])) / near_m
-            if self.intrinsics.fx * (turn_rad + shift) < _STANDING_PX:
+            turn_rad, moved_m = motion_between(before, pose)
+            if self.intrinsics.fx * (turn_rad + moved_m / distance_m) < _STANDING_PX:
                 return True
         self._pose_of_frame = pose
         return False
 
-    def _in_range(self, depth_m: np.ndarray) -> np.ndarray:
-        """Depth (H, W) float32 as far as the ideal camera sees it, a new array."""
-        from stair_env.sensors.camera.depth_model.depth_kernels import within
-
-        seen = np.empty(depth_m.shape, np.float32)
-        within(np.ascontiguousarray(depth_m), np.float32(self.config.near_m), np.float32(self.config.far_m), seen)
-        return seen
-
-    def _pixel_motion(self, time_s: float, pose: np.ndarray, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray | None:
+    def _pixel_motion(self, time_s: float, pose: np.ndarray, rgb: np.ndarray, distance_m: float) -> np.ndarray | None:
         """(2,) image motion while the shutter is open, None when nothing is known about it."""
         if self._last is None or time_s <= self._last[0] or not self.config.colour_error.motion_blur:
             return None
         exposure_s = self._colour_error.exposure_s(rgb)
-        distance_m = _middle_distance_m(depth_m, self.config.far_m)
         moved = image_motion_px(self.intrinsics, self._last[1], pose, distance_m)
         return moved * (exposure_s / (time_s - self._last[0]))
 
@@ -350,10 +342,27 @@ class RgbdCamera:
         return self._delivered
 
 
-def _middle_distance_m(depth_m: np.ndarray, far_m: float) -> float:
-    """Median of a depth image (H, W), far_m if nothing is seen."""
-    sample = depth_m[::16, ::16]
-    return float(np.median(sample[sample > 0.0])) if (sample > 0.0).any() else far_m
+def middle_distance_m(depth_m: np.ndarray, near_m: float, far_m: float) -> float:
+    """Median of the depths (H, W) float32 within near_m..far_m, by every 16th pixel; far_m if there is none."""
+    sample = depth_m[::16, ::16].ravel()
+    sample = sample[(sample >= np.float32(near_m)) & (sample <= np.float32(far_m)) & (sample > 0.0)]
+    if len(sample) == 0:
+        return far_m
+    sample.sort()  # np.median takes four times as long to say the same
+    return float(np.float32(0.5) * (sample[(len(sample) - 1) // 2] + sample[len(sample) // 2]))
+
+
+def motion_between(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """By what angle (radians) and how far (metres) a camera has moved between two poses (4, 4).
+
+    In plain numbers: between two frames numpy's small functions and scipy's rotations find cold caches and take a
+    quarter of a millisecond.
+    """
+    a, b = before.tolist(), after.tolist()
+    r = [[sum(a[k][i] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+    sine = 0.5 * math.hypot(r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1])
+    cosine = 0.5 * (r[0][0] + r[1][1] + r[2][2] - 1.0)
+    return math.atan2(sine, cosine), math.hypot(*(b[i][3] - a[i][3] for i in range(3)))
 
 
 def draw_mount_error(config: CameraConfig, rng: np.random.Generator) -> np.ndarray:

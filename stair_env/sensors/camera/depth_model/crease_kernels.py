@@ -1,4 +1,4 @@
-"""Compiled loops for what a matching window does to shapes: rounded creases, and a depth image off its colour image.
+"""Compiled loops for what a matching window does to shapes: rounded creases.
 
 As in `depth_kernels`, each function is one pass over the image, draws nothing and keeps nothing. Importing this module
 loads numba: do so when a frame is processed.
@@ -15,7 +15,13 @@ _FLAT_PX = np.float32(2e-3)  # rounding of running sums; below it a pixel lies o
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def round_creases(
-    disparity: np.ndarray, half: int, limit: np.float32, scratch: np.ndarray, measured: np.ndarray
+    disparity: np.ndarray,
+    half: int,
+    limit: np.float32,
+    scratch: np.ndarray,
+    measured: np.ndarray,
+    begin: int = 0,
+    end: int = 1 << 30,
 ) -> None:
     """Replace disparities by their mean over the matching window where the surface is continuous.
 
@@ -29,6 +35,7 @@ def round_creases(
         limit: largest change, depth-imager pixels.
         scratch: (4, at least W) float32.
         measured: (H, W) float32, the same with 0 in shadows; changed in place.
+        begin, end: rows to work on. The sums are those of a run from the first row on, wherever it begins.
     """
     height, width = disparity.shape
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -36,7 +43,7 @@ def round_creases(
     span = max(width - 2 * half, 0)
     columns[:] = zero
     first, last = 0, -1  # rows that the column sums hold
-    for v in range(height):
+    for v in range(min(end, height)):
         reach = min(half, v, height - 1 - v)
         while last < v + reach:
             last += 1
@@ -48,6 +55,8 @@ def round_creases(
             for u in range(width):
                 columns[u] -= leaving[u]
             first += 1
+        if v < begin:
+            continue
         per_column = one / np.float32(last - first + 1)
         per_box = per_column / np.float32(2 * half + 1)
         for u in range(width):
@@ -91,23 +100,3 @@ def _add_neighbours(values: np.ndarray, count: int, sums: np.ndarray, other: np.
             other[u] = sums[u] + ahead[u]
         sums, other = other, sums
         size *= 2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def resample(image: np.ndarray, rows: np.ndarray, starts: np.ndarray, sources: np.ndarray, out: np.ndarray) -> None:
-    """Copy an image from elsewhere: out[v, u] = image[rows[v], u + shift], shift constant over a stretch.
-
-    Args:
-        image: (H, W) float32.
-        rows: (H,) int64, row to take.
-        starts: (n + 1,) int64, first column of each of the n stretches, then W.
-        sources: (n,) int64, column to take for the first of each stretch.
-        out: (H, W) float32, written.
-    """
-    for v in range(len(rows)):
-        row, target = image[rows[v]], out[v]
-        for i in range(len(sources)):
-            count = starts[i + 1] - starts[i]
-            taken, given = row[sources[i] : sources[i] + count], target[starts[i] : starts[i + 1]]
-            for u in range(count):
-                given[u] = taken[u]

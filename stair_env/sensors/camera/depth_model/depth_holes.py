@@ -19,29 +19,27 @@ SHARP_BEND_PX = 0.5  # second difference of disparity over cells from which a cr
 TEXTURE_HELPS = 0.7  # share of those losses that full texture saves
 
 
-def hole_corners(config: DepthErrorConfig, unit: DepthUnit, rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+def hole_corners(config: DepthErrorConfig, unit: DepthUnit, statistics: np.ndarray) -> np.ndarray:
     """Probabilities of a hole and of a band lost along the rows, at the corners of the cells.
 
     Args:
         config: what is wrong with the depth.
         unit: of the camera, in its light.
-        rgb: uint8 (H, W, 3).
-        disparity: float32 (H, W), 0 where nothing is.
+        statistics: (4, h, w) float32 of the cells, see `scene_kernels.see_rows`.
 
     Returns:
         (2, h + 1, w + 1) float32: holes, bands.
     """
-    from stair_env.sensors.camera.depth_model import depth_kernels as kernels
-
-    rows, columns = (-(-side // kernels.CELL_PX) for side in disparity.shape)
+    level, texture, glare, mean = statistics
     config_sum = config.speckle + config.textureless_dropout + config.dark_dropout + config.specular_dropout
     if config_sum + config.lost_treads == 0.0:
+        rows, columns = level.shape
         return np.zeros((2, rows + 1, columns + 1), np.float32)
-    level, texture, glare, mean = (np.empty((rows, columns), np.float32) for _ in range(4))
-    kernels.cell_statistics(np.ascontiguousarray(rgb), disparity, level, texture, glare, mean)
     focal_baseline = np.float32(config.focal_px * config.baseline_m)
-    holes = hole_probability(config, level, texture, glare, mean / focal_baseline, unit.reach)
-    return np.stack([_corner_means(holes), _corner_means(lost_probability(config, unit.severity, texture, mean))])
+    corners = np.empty((2, level.shape[0] + 1, level.shape[1] + 1), np.float32)
+    _corner_means(hole_probability(config, level, texture, glare, mean / focal_baseline, unit.reach), corners[0])
+    _corner_means(lost_probability(config, unit.severity, texture, mean), corners[1])
+    return corners
 
 
 def lost_probability(
@@ -119,7 +117,14 @@ def _reflectance(level: np.ndarray) -> np.ndarray:
     return 1.0 - trust * (1.0 - np.minimum(level / (DARK_SURFACE_SHARE * frame_level), 1.0))
 
 
-def _corner_means(cells: np.ndarray) -> np.ndarray:
-    """(h + 1, w + 1) means of the cells around each corner."""
-    padded = np.pad(cells, 1, mode="edge")
-    return (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:]) * np.float32(0.25)
+def _corner_means(cells: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (h + 1, w + 1) with the means of the cells (h, w) around each corner."""
+    height, width = cells.shape
+    padded = np.empty((height + 2, width + 2), np.float32)  # by hand: np.pad takes as long as all the rest
+    padded[1:-1, 1:-1] = cells
+    padded[0, 1:-1], padded[-1, 1:-1] = cells[0], cells[-1]
+    padded[:, 0], padded[:, -1] = padded[:, 1], padded[:, -2]
+    np.add(padded[:-1, :-1], padded[1:, :-1], out=out)
+    out += padded[:-1, 1:]
+    out += padded[1:, 1:]
+    out *= np.float32(0.25)

@@ -14,126 +14,109 @@ import numpy as np
 
 from stair_env.common.compiling import njit
 
-CELL_PX = 8  # side of the squares over which texture and brightness are averaged
+CELL_PX = 8  # side of the squares that have probabilities of holes; as in `scene_kernels`
+BAND_PX = 16  # rows that are worked on together
 _HIDDEN = np.float32(0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def within(depth_m: np.ndarray, near_m: np.float32, far_m: np.float32, out: np.ndarray) -> None:
-    """Fill out (H, W) with the depths in near_m..far_m, 0 in place of the others.
+def measure_rows(
+    bands: np.ndarray,
+    disparity: np.ndarray,
+    measured: np.ndarray,
+    exact_m: np.ndarray,
+    reach: int,
+    edges: tuple[np.float32, np.float32, np.float32, np.float32],
+    focal_baseline: np.float32,
+    noise_px: tuple[np.float32, np.float32, np.float32],
+    quantum_px: np.float32,
+    scale: np.float32,
+    unit_m: np.float32,
+    range_m: tuple[np.float32, np.float32],
+    single: np.float32,
+    false_patches: tuple[np.float32, np.float32, np.float32],
+    corners: np.ndarray,
+    normal: np.ndarray,
+    broad: np.ndarray,
+    uniform: np.ndarray,
+    streaks: np.ndarray,
+    white: np.ndarray,
+    offsets: np.ndarray,
+    unit_place: tuple[int, int],
+    out: np.ndarray,
+) -> None:
+    """Edges, noise, quantisation, scale, range and holes: from disparity to the depth that is handed out.
 
     Args:
-        depth_m: (H, W) float32, metres.
-        near_m, far_m: bounds, metres.
+        bands: (k,) int64 which bands of BAND_PX rows to work on.
+        disparity: (H, W) float32 of the scene.
+        measured: (H, W) float32, the same after shadows and creases, 0 in shadows.
+        exact_m: (H, W) float32, exact depth, kept where nothing changed the disparity; (0, 0) where there is noise,
+            quantisation or a false patch.
+        reach: half the matching window, image pixels; 0 leaves edges as they are.
+        edges: jump, jitter, flying and fattened share, see `_blur_row`.
+        focal_baseline: pixels times metres.
+        noise_px: standard deviations of the disparity, depth-imager pixels: new in every frame, the same while the
+            camera stands still, and the unit's own.
+        quantum_px: step of the disparity, depth-imager pixels; 0 for none.
+        scale: factor on depth.
+        unit_m: step of the depth, metres; 0 for none.
+        range_m: nearest and farthest reading that is kept.
+        single: share of pixels that are lost one by one.
+        false_patches: share of pixels in patches at a false distance, how much more of a lost band, factor on their
+            disparity.
+        corners: (2, h + 1, w + 1) float32 probability of a hole and of a lost band at the corners of the cells.
+        normal, broad: (N, N + W) normal noise, as fine as a window, and far broader.
+        uniform, streaks, white: (N, N + W + CELL_PX) uniform noise: blobs, long along the rows, uncorrelated.
+        offsets: (k,) int64 places in the tables where this frame begins.
+        unit_place: place in `broad` that belongs to the unit.
         out: (H, W) float32, written.
     """
-    height, width = depth_m.shape
-    zero = np.float32(0.0)
-    for v in range(height):
-        for u in range(width):
-            z = depth_m[v, u]
-            out[v, u] = z if (z >= near_m) & (z <= far_m) else zero
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def to_disparity(depth_m: np.ndarray, focal_baseline: np.float32, disparity: np.ndarray) -> None:
-    """Fill disparity (H, W) with f B / z; 0 where depth is not a positive finite number.
-
-    Args:
-        depth_m: (H, W) float32, metres.
-        focal_baseline: focal length times baseline of the depth imagers, pixels times metres.
-        disparity: (H, W) float32, written.
-    """
-    height, width = depth_m.shape
-    zero, one, huge = np.float32(0.0), np.float32(1.0), np.float32(1e6)
-    for v in range(height):
-        for u in range(width):
-            z = depth_m[v, u]
-            usable = (z > zero) & (z < huge)  # false for NaN and for infinity
-            disparity[v, u] = focal_baseline / (z if usable else one) if usable else zero
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def hide_shadows(
-    disparity: np.ndarray,
-    shift: np.float32,
-    shift_2: np.float32,
-    wall: np.float32,
-    mark: np.ndarray,
-    measured: np.ndarray,
-) -> None:
-    """Copy disparity to measured and set to 0 what a camera further to the right cannot see.
-
-    A camera displaced to the right by b sees pixel u at u - shift d, shift = (f_image / f_depth) (b / B). A near
-    surface whose left edge lies at u therefore hides a strip of shift (d_near - d_far) pixels of whatever is behind
-    it, to the left of that edge, and nothing on any other side.
-
-    Args:
-        disparity: (H, W) float32 of the scene.
-        shift, shift_2: image pixels of displacement per pixel of disparity, for two cameras; 0 leaves one out.
-        wall: smallest displacement between neighbours that hides a whole pixel, image pixels.
-        mark: (at least W,) uint8, scratch.
-        measured: (H, W) float32, written.
-    """
     height, width = disparity.shape
-    strongest = max(shift, shift_2)
-    for v in range(height):
-        row, out = disparity[v], measured[v]
-        for u in range(width):
-            out[u] = row[u]
-        if strongest <= 0.0 or not _mark_walls(row, strongest, wall, mark):
-            continue
-        for u in range(width - 1):
-            if mark[u] != 0:
-                _shade_strip(row, out, u, shift, wall)
-                _shade_strip(row, out, u, shift_2, wall)
+    side = normal.shape[0]
+    zero = np.float32(0.0)
+    patched = (false_patches[0] > zero) | (false_patches[1] > zero)
+    mark = np.zeros(-(-width // 8) * 8, np.uint8)
+    row = np.empty(width, np.float32)
+    chance, band_chance = np.empty(width + CELL_PX, np.float32), np.empty(width + CELL_PX, np.float32)
+    for index in bands:
+        for v in range(index * BAND_PX, min((index + 1) * BAND_PX, height)):
+            hole = uniform[(v + offsets[10]) % side, offsets[11] :]
+            band = streaks[(v + offsets[14]) % side, offsets[15] :]
+            grain = white[(v + offsets[16]) % side, offsets[17] :]
+            _interpolate_row(corners[0], v, chance)
+            _interpolate_row(corners[1], v, band_chance)
+            for u in range(width):
+                row[u] = measured[v, u]
+            if reach > 0:
+                _blur_row(disparity, measured, v, reach, edges, normal, uniform, offsets, mark, row)
+            if exact_m.shape[0] > 0:
+                _exact_row(row, exact_m[v], focal_baseline, out[v])
+            else:
+                if patched:
+                    patch = streaks[(v + offsets[18]) % side, offsets[19] :]
+                    _patch_row(row, patch, band_chance, false_patches)
+                noise = normal[(v + offsets[8]) % side, offsets[9] :]
+                held = normal[(v + offsets[12]) % side, offsets[13] :]
+                own = broad[(v + unit_place[0]) % side, unit_place[1] :]
+                _noisy_row(row, noise, held, own, noise_px, focal_baseline, quantum_px, out[v])
+            _limit_row(scale, unit_m, range_m, hole, chance, band, band_chance, grain, single, out[v])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _mark_walls(row: np.ndarray, shift: np.float32, wall: np.float32, mark: np.ndarray) -> bool:
-    """Set mark to 1 left of where disparity rises enough to hide a pixel; whether it does anywhere."""
-    here, there = row[:-1], row[1:]
-    marks = 0
-    for u in range(len(there)):
-        mark[u] = shift * (there[u] - here[u]) >= wall
-    for u in range(len(there)):
-        marks += mark[u]
-    return marks > 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _shade_strip(row: np.ndarray, out: np.ndarray, last: int, shift: np.float32, wall: np.float32) -> None:
-    """Hide the strip that ends at pixel `last`, left of a near surface that starts at `last + 1`."""
-    near = row[last + 1]
-    for u in range(last, -1, -1):
-        width = shift * (near - row[u])
-        distance = last + 1 - u
-        if width < wall or distance > shift * near + 0.5:
-            return
-        if distance > width + 0.5:
-            continue
-        # A thing narrower than its own displacement lets the camera look past its other side.
-        blocker = min(u + int(width + 0.5), len(row) - 1)
-        if row[blocker] > row[u] + 0.5 * (near - row[u]):
-            out[u] = _HIDDEN
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def blur_edges(
+def _blur_row(
     disparity: np.ndarray,
     measured: np.ndarray,
+    v: int,
     reach: int,
-    jump: np.float32,
-    jitter_px: np.float32,
-    flying_share: np.float32,
-    fattened_share: np.float32,
+    edges: tuple[np.float32, np.float32, np.float32, np.float32],
     normal: np.ndarray,
     uniform: np.ndarray,
     offsets: np.ndarray,
     mark: np.ndarray,
-    out: np.ndarray,
+    out_row: np.ndarray,
 ) -> None:
-    """Make edges wander, those of shadows too, and mix near with far beside them.
+    """Make edges in row v wander, those of shadows too, and mix near with far beside them.
 
     A matching window that straddles an edge returns either side or something in between. An edge is where the second
     difference of the measured disparity over `reach` pixels exceeds `jump`: zero on any plane, whatever its slant.
@@ -141,32 +124,28 @@ def blur_edges(
     Args:
         disparity: (H, W) float32 of the scene.
         measured: (H, W) float32, 0 in shadows.
+        v: the row.
         reach: half the matching window, image pixels.
-        jump: smallest second difference that counts as an edge, depth-imager pixels.
-        jitter_px: standard deviation of the edge's position, image pixels.
-        flying_share: share of edge pixels that become a mixture; shadows do not.
-        fattened_share: share of edge pixels that take the near side: what stands before a plain wall grows by half a
-            window, because its outline is all the texture there is.
+        edges: jump, the smallest second difference that counts as an edge, depth-imager pixels; jitter, the standard
+            deviation of the edge's position, image pixels; share of edge pixels that become a mixture (shadows do not);
+            share of edge pixels that take the near side: what stands before a plain wall grows by half a window,
+            because its outline is all the texture there is.
         normal, uniform: (N, N + W) noise tables.
         offsets: (k,) int64 places in the tables where this frame begins.
-        mark: (at least W,) uint8, a multiple of 8 long, scratch.
-        out: (H, W) float32, written.
+        mark: (at least W,) uint8, a multiple of 8 long, scratch, zeros behind the row.
+        out_row: (W,) float32, holds row v of measured and is changed in place.
     """
     height, width = disparity.shape
     side, one = normal.shape[0], np.float32(1.0)
-    mark[:] = 0
-    marks_of_8 = mark.view(np.uint64)  # most of them are all zero, and cheaper to skip together
-    for v in range(height):
-        row, out_row = measured[v], out[v]
-        for u in range(width):
-            out_row[u] = row[u]
-        above, below = measured[max(v - reach, 0)], measured[min(v + reach, height - 1)]
-        if not _mark_edges(row, above, below, reach, jump, mark):
-            continue
+    jump, jitter_px, flying_share, fattened_share = edges
+    row = measured[v]
+    above, below = measured[max(v - reach, 0)], measured[min(v + reach, height - 1)]
+    if _mark_edges(row, above, below, reach, jump, mark):
         shift_u = normal[(v + offsets[0]) % side, offsets[1] :]
         shift_v = normal[(v + offsets[2]) % side, offsets[3] :]
         chance = uniform[(v + offsets[4]) % side, offsets[5] :]
         mixture = uniform[(v + offsets[6]) % side, offsets[7] :]
+        marks_of_8 = mark.view(np.uint64)  # most of them are all zero, and cheaper to skip together
         for eighth in range(len(marks_of_8)):
             if marks_of_8[eighth] == 0:
                 continue
@@ -212,116 +191,6 @@ def _extremes(disparity: np.ndarray, v: int, u: int, reach: int) -> tuple[np.flo
     up, down = disparity[max(v - reach, 0), u], disparity[min(v + reach, height - 1), u]
     here = disparity[v, u]
     return max(here, left, right, up, down), min(here, left, right, up, down)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cell_statistics(
-    rgb: np.ndarray, disparity: np.ndarray, level: np.ndarray, texture: np.ndarray, glare: np.ndarray, mean: np.ndarray
-) -> None:
-    """Average what decides about drop-outs over squares of CELL_PX pixels.
-
-    Only horizontal contrast counts as texture: stereo matches along image rows, where a horizontal line tells nothing.
-
-    Args:
-        rgb: (H, W, 3) uint8.
-        disparity: (H, W) float32.
-        level: (h, w) float32, written: mean of the green channel, 0-255.
-        texture: (h, w) float32, written: mean absolute difference of pixels two apart, 0-255.
-        glare: (h, w) float32, written: share of saturated pixels.
-        mean: (h, w) float32, written: mean disparity of the pixels that have one, 0 if none has.
-    """
-    height, width = disparity.shape
-    rows, columns = level.shape
-    for i in range(rows):
-        for j in range(columns):
-            total, contrast, near = np.int64(0), np.int64(0), np.float32(0.0)
-            saturated, seen, count = 0, 0, 0
-            for v in range(i * CELL_PX, min((i + 1) * CELL_PX, height), 2):
-                green, d = rgb[v, :, 1], disparity[v]
-                for u in range(j * CELL_PX, min((j + 1) * CELL_PX, width), 2):
-                    value = np.int64(green[u])  # plain arithmetic on uint8 stays unsigned under numba
-                    total += value
-                    contrast += abs(value - np.int64(green[min(u + 2, width - 1)]))
-                    saturated += int(value >= 250)
-                    count += 1
-                    near += d[u]
-                    seen += int(d[u] > 0.0)
-            level[i, j] = total / count
-            texture[i, j] = contrast / count
-            glare[i, j] = saturated / count
-            mean[i, j] = near / max(seen, 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def finish(
-    measured: np.ndarray,
-    depth_m: np.ndarray,
-    focal_baseline: np.float32,
-    noise_px: tuple[np.float32, np.float32, np.float32],
-    quantum_px: np.float32,
-    scale: np.float32,
-    unit_m: np.float32,
-    range_m: tuple[np.float32, np.float32],
-    single: np.float32,
-    false_patches: tuple[np.float32, np.float32, np.float32],
-    corners: np.ndarray,
-    normal: np.ndarray,
-    broad: np.ndarray,
-    uniform: np.ndarray,
-    streaks: np.ndarray,
-    white: np.ndarray,
-    offsets: np.ndarray,
-    unit_place: tuple[int, int],
-    chances: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Noise, quantisation, scale, range and holes: from disparity to the depth that is handed out.
-
-    Args:
-        measured: (H, W) float32, disparity after shadows and edges; false patches are written into it.
-        depth_m: (H, W) float32, exact depth; kept as it is where nothing changed the disparity.
-        focal_baseline: pixels times metres.
-        noise_px: standard deviations of the disparity, depth-imager pixels: new in every frame, the same while the
-            camera stands still, and the unit's own.
-        quantum_px: step of the disparity, depth-imager pixels; 0 for none.
-        scale: factor on depth.
-        unit_m: step of the depth, metres; 0 for none.
-        range_m: nearest and farthest reading that is kept.
-        single: share of pixels that are lost one by one.
-        false_patches: share of pixels in patches at a false distance, how much more of a lost band, factor on their
-            disparity.
-        corners: (2, h + 1, w + 1) float32 probability of a hole and of a lost band at the corners of the cells.
-        normal, broad: (N, N + W) normal noise, as fine as a window, and far broader.
-        uniform, streaks, white: (N, N + W + CELL_PX) uniform noise: blobs, long along the rows, uncorrelated.
-        offsets: (k,) int64 places in the tables where this frame begins.
-        unit_place: place in `broad` that belongs to the unit.
-        chances: (2 or more, at least W + CELL_PX) float32, scratch.
-        out: (H, W) float32, written.
-    """
-    side = normal.shape[0]
-    fresh_px, held_px, unit_px = noise_px
-    zero = np.float32(0.0)
-    patched = (false_patches[0] > zero) | (false_patches[1] > zero)
-    exact = (fresh_px == zero) & (held_px == zero) & (unit_px == zero) & (quantum_px == zero) & (not patched)
-    chance, band_chance = chances[0], chances[1]
-    for v in range(len(measured)):
-        hole = uniform[(v + offsets[10]) % side, offsets[11] :]
-        band = streaks[(v + offsets[14]) % side, offsets[15] :]
-        grain = white[(v + offsets[16]) % side, offsets[17] :]
-        _interpolate_row(corners[0], v, chance)
-        _interpolate_row(corners[1], v, band_chance)
-        row = measured[v]
-        if exact:
-            _exact_row(row, depth_m[v], focal_baseline, out[v])
-        else:
-            if patched:
-                patch = streaks[(v + offsets[18]) % side, offsets[19] :]
-                _patch_row(row, patch, band_chance, false_patches)
-            noise = normal[(v + offsets[8]) % side, offsets[9] :]
-            held = normal[(v + offsets[12]) % side, offsets[13] :]
-            own = broad[(v + unit_place[0]) % side, unit_place[1] :]
-            _noisy_row(row, noise, held, own, noise_px, focal_baseline, quantum_px, out[v])
-        _limit_row(scale, unit_m, range_m, hole, chance, band, band_chance, grain, single, out[v])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -72,6 +72,12 @@ def false_patches(config: DepthErrorConfig, unit: DepthUnit, place: int) -> tupl
     return np.float32(config.false_patches * unit.severity), np.float32(in_bands), np.float32(factor)
 
 
+def is_exact(config: DepthErrorConfig, unit: DepthUnit) -> bool:
+    """Whether disparities are handed on as they are: neither noise nor steps nor false patches."""
+    off = (*noise_px(config, unit), np.float32(config.disparity_quantum_px), *false_patches(config, unit, 0)[:2])
+    return not any(value > 0.0 for value in off)
+
+
 def noise_tables(window_px: float, magnification: float, width: int) -> tuple[np.ndarray, ...]:
     """Two tables of normal noise and three of uniform: `normal, broad, uniform, streaks, white` of the kernels."""
     window = round(window_px * magnification * 4.0) / 4.0  # in steps, so that few tables are made

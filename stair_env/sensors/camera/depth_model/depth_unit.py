@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -65,26 +66,39 @@ class DepthUnit:
             place=(int(row), int(column)),
         )
 
-    def off_colour(self, depth_m: np.ndarray, intrinsics: Intrinsics, magnification: float) -> np.ndarray:
-        """Depth (H, W) as this unit lays it over the colour image: shifted and scaled by whole pixels.
+    def off_colour(self, intrinsics: Intrinsics, magnification: float) -> Places:
+        """How this unit lays depth over the colour image: shifted and scaled by whole pixels.
 
         Args:
-            depth_m: float32 (H, W), metres.
             intrinsics: of both images.
             magnification: image pixels per pixel of the depth imager.
         """
-        right, down = (magnification * shift for shift in self.shift_px)
-        columns = _sources(intrinsics.width, intrinsics.cx, right, self.focal_error)
-        rows = _sources(intrinsics.height, intrinsics.cy, down, self.focal_error)
-        if (columns == np.arange(len(columns))).all() and (rows == np.arange(len(rows))).all():
-            return depth_m
-        from stair_env.sensors.camera.depth_model.crease_kernels import resample
+        return _places(self.shift_px, self.focal_error, intrinsics, magnification)
 
-        breaks = np.flatnonzero(np.diff(columns) != 1) + 1
-        starts = np.concatenate([[0], breaks, [len(columns)]]).astype(np.int64)
-        moved = np.empty_like(depth_m)
-        resample(depth_m, rows, starts, columns[starts[:-1]], moved)
-        return moved
+
+@dataclass(frozen=True)
+class Places:
+    """Where each pixel of a depth image comes from.
+
+    Attributes:
+        rows: (H,) int64, the row.
+        starts: (n + 1,) int64, first column of each of n stretches that are shifted alike, then W.
+        sources: (n,) int64, the column that the first of each stretch comes from.
+    """
+
+    rows: np.ndarray
+    starts: np.ndarray
+    sources: np.ndarray
+
+
+@functools.lru_cache(maxsize=16)
+def _places(shift_px: tuple[float, float], focal_error: float, intrinsics: Intrinsics, magnification: float) -> Places:
+    right, down = (magnification * shift for shift in shift_px)
+    columns = _sources(intrinsics.width, intrinsics.cx, right, focal_error)
+    rows = _sources(intrinsics.height, intrinsics.cy, down, focal_error)
+    breaks = np.flatnonzero(np.diff(columns) != 1) + 1
+    starts = np.concatenate([[0], breaks, [len(columns)]]).astype(np.int64)
+    return Places(rows, starts, columns[starts[:-1]])
 
 
 def _between(bounds: tuple[float, float], drawn: float) -> float:

@@ -54,7 +54,8 @@ def run_rows(work: Callable[[np.ndarray], None], num_rows: int, threads: int | N
     pending = [_pool(count - 1).submit(work_off) for _ in range(count - 1)]
     work_off()
     for future in pending:
-        future.result()
+        if not future.cancel():  # one that has not begun, because its thread does other work, finds nothing left
+            future.result()
 
 
 def later(work: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:

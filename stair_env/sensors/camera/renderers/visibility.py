@@ -256,17 +256,17 @@ def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):
 
 @njit(nogil=True, fastmath=True)
 def _maximum(values, scratch):  # type: ignore[no-untyped-def]
-    """Largest of AREA values; by halving, which is faster than waiting for one result after another."""
-    for k in range(AREA // 2):
-        a, b = values[k], values[AREA // 2 + k]
-        scratch[k] = a if a > b else b
-    for half in (64, 32, 16):
-        for k in range(half):
-            a, b = scratch[k], scratch[half + k]
-            scratch[k] = a if a > b else b
-    found = scratch[0]
-    for k in range(1, 16):
-        found = scratch[k] if scratch[k] > found else found
+    """Largest of AREA values; eight at once, which is faster than waiting for one result after another."""
+    part = AREA // 8
+    for k in range(part):
+        x0, x1, x2, x3 = values[k], values[part + k], values[2 * part + k], values[3 * part + k]
+        x4, x5, x6, x7 = values[4 * part + k], values[5 * part + k], values[6 * part + k], values[7 * part + k]
+        scratch[k] = max(max(max(x0, x1), max(x2, x3)), max(max(x4, x5), max(x6, x7)))
+    for k in range(8):
+        scratch[part + k] = max(max(scratch[k], scratch[8 + k]), max(scratch[16 + k], scratch[24 + k]))
+    found = scratch[part]
+    for k in range(part + 1, part + 8):
+        found = max(found, scratch[k])
     return found
 
 

@@ -122,6 +122,7 @@ class Imager:
         self, frame: Frame, pattern: np.ndarray, config: StereoConfig, ambient_gain: float, rng: np.random.Generator
     ) -> np.ndarray:
         """Infrared light that reaches each pixel, (H, W) float32; 1 is a white sheet in a dot's middle at 1 m."""
+        from stair_env.sensors.camera.renderers.threads import run_rows
         from stair_env.sensors.camera.stereo import kernels
 
         level = cv2.transform(cv2.LUT(frame.rgb, _LINEAR), np.array([BAND], np.float32))
@@ -134,10 +135,15 @@ class Imager:
         k, shape = self.intrinsics, level.shape
         map_u, map_v, irradiance = (np.empty(shape, np.float32) for _ in range(3))
         rows, columns = TABLE_SIDES_PX
-        kernels.light_from_projector(
-            np.ascontiguousarray(frame.depth_m), k.fx, k.cx, k.cy, self.projector_x_m,
-            TABLE_PX, columns / 2.0, rows / 2.0, map_u, map_v, irradiance,
-        )  # fmt: skip
+        depth_m = np.ascontiguousarray(frame.depth_m)
+
+        def light_bands(bands: np.ndarray) -> None:
+            kernels.light_from_projector(
+                bands, depth_m, k.fx, k.cx, k.cy, self.projector_x_m,
+                TABLE_PX, columns / 2.0, rows / 2.0, map_u, map_v, irradiance,
+            )  # fmt: skip
+
+        run_rows(light_bands, -(-shape[0] // kernels.BAND_PX))
         dots: np.ndarray = cv2.remap(
             pattern, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0
         )

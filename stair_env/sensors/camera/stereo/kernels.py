@@ -6,9 +6,12 @@ import numpy as np
 
 from stair_env.common.compiling import njit
 
+BAND_PX = 16  # rows that are worked on together
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def light_from_projector(
+    bands: np.ndarray,
     depth_m: np.ndarray,
     focal_px: float,
     cx: float,
@@ -24,6 +27,7 @@ def light_from_projector(
     """Where each pixel lies in the projector's pattern, and how much of its light reaches the surface there.
 
     Args:
+        bands: (k,) int64 which bands of BAND_PX rows to work on.
         depth_m: (H, W) float32 seen by the imager, metres, 0 = nothing.
         focal_px, cx, cy: of the imager, pixels.
         projector_x_m: of the projector in the imager's frame (x right), metres; its axes are the imager's.
@@ -33,34 +37,47 @@ def light_from_projector(
         irradiance: (H, W) float32, written: cosine of incidence over the distance squared, 1 / m^2.
     """
     height, width = depth_m.shape
-    for v in range(height):
-        above, below = max(v - 1, 0), min(v + 1, height - 1)
-        b = (v + 0.5 - cy) / focal_px
-        for u in range(width):
-            z = depth_m[v, u]
-            if not z > 0.0:
-                map_u[v, u], map_v[v, u], irradiance[v, u] = -1.0, -1.0, 0.0
-                continue
-            left, right = max(u - 1, 0), min(u + 1, width - 1)
-            w = 1.0 / z
-            # Inverse depth is affine on a plane, w = (n . ray) / d, so its gradient is the plane's normal.
-            wu = _smaller_step(w, depth_m[v, left], depth_m[v, right]) * focal_px
-            wv = _smaller_step(w, depth_m[above, u], depth_m[below, u]) * focal_px
-            a = (u + 0.5 - cx) / focal_px
-            nx, ny, nz = wu, wv, w - wu * a - wv * b
-            px, py = a * z - projector_x_m, b * z
-            squared = px * px + py * py + z * z
-            cosine = abs(nx * px + ny * py + nz * z) / np.sqrt((nx * nx + ny * ny + nz * nz) * squared)
-            map_u[v, u] = px * w * table_px + table_cx
-            map_v[v, u] = py * w * table_px + table_cy
-            irradiance[v, u] = cosine / squared
+    rows = np.empty((3, width + 2), np.float64)  # inverse depths of three rows, infinite where nothing is
+    for band in bands:
+        first, end = band * BAND_PX, min((band + 1) * BAND_PX, height)
+        _invert(depth_m[max(first - 1, 0)], rows[(first - 1) % 3])
+        _invert(depth_m[first], rows[first % 3])
+        for v in range(first, end):
+            _invert(depth_m[min(v + 1, height - 1)], rows[(v + 1) % 3])
+            above, here, below = rows[(v - 1) % 3, 1:-1], rows[v % 3], rows[(v + 1) % 3, 1:-1]
+            left, middle, right = here[:-2], here[1:-1], here[2:]
+            row_m, row_u, row_v, row_light = depth_m[v], map_u[v], map_v[v], irradiance[v]
+            b = (v + 0.5 - cy) / focal_px
+            for u in range(width):  # without branches, which lets LLVM vectorise it
+                z = row_m[u]
+                there = z > 0.0
+                w = middle[u] if there else 1.0
+                # Inverse depth is affine on a plane, w = (n . ray) / d, so its gradient is the plane's normal.
+                wu = _smaller_step(w, left[u], right[u]) * focal_px
+                wv = _smaller_step(w, above[u], below[u]) * focal_px
+                a = (u + 0.5 - cx) / focal_px
+                nx, ny, nz = wu, wv, w - wu * a - wv * b
+                px, py = a * z - projector_x_m, b * z
+                squared = px * px + py * py + z * z
+                cosine = abs(nx * px + ny * py + nz * z) / np.sqrt((nx * nx + ny * ny + nz * nz) * squared)
+                row_u[u] = px * w * table_px + table_cx if there else -1.0
+                row_v[u] = py * w * table_px + table_cy if there else -1.0
+                row_light[u] = cosine / squared if there else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _smaller_step(w: float, before_m: float, after_m: float) -> float:
-    """The smaller of the steps of inverse depth to two neighbours: the one on the same surface."""
-    back = w - 1.0 / before_m if before_m > 0.0 else np.inf
-    ahead = 1.0 / after_m - w if after_m > 0.0 else np.inf
+def _invert(depth_m: np.ndarray, inverse: np.ndarray) -> None:
+    """Fill inverse[1:-1], (W,) float64, with 1 / depth, infinite where there is none; the border repeats."""
+    inner = inverse[1:-1]
+    for u in range(len(depth_m)):
+        inner[u] = 1.0 / depth_m[u] if depth_m[u] > 0.0 else np.inf
+    inverse[0], inverse[-1] = inverse[1], inverse[-2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _smaller_step(w: float, before: float, after: float) -> float:
+    """The smaller of the steps of inverse depth to two neighbours, infinite where none is: the one on one surface."""
+    back, ahead = w - before, after - w
     step = back if abs(back) < abs(ahead) else ahead
     return step if abs(step) < np.inf else 0.0
 
@@ -104,17 +121,23 @@ def align(depth_m: np.ndarray, source: np.ndarray, shift_x_m: float, target: np.
     height, width = depth_m.shape
     rows, columns = out.shape
     out[:] = np.inf
+    slopes = np.empty(width + 1, np.float64)
+    for u in range(width + 1):
+        slopes[u] = (u - source[2]) / source[0]
     for v in range(height):
+        y0 = (v - source[3]) / source[1] * target[1] + target[3]
+        y1 = (v + 1.0 - source[3]) / source[1] * target[1] + target[3]
+        first_v, last_v = max(int(np.floor(y0)), 0), min(int(np.floor(y1)), rows - 1)
+        if first_v > last_v:
+            continue
         for u in range(width):
             z = depth_m[v, u]
             if not z > 0.0:
                 continue
-            x0 = ((u - source[2]) / source[0] + shift_x_m / z) * target[0] + target[2]
-            x1 = ((u + 1.0 - source[2]) / source[0] + shift_x_m / z) * target[0] + target[2]
-            y0 = (v - source[3]) / source[1] * target[1] + target[3]
-            y1 = (v + 1.0 - source[3]) / source[1] * target[1] + target[3]
+            parallax = shift_x_m / z
+            x0 = (slopes[u] + parallax) * target[0] + target[2]
+            x1 = (slopes[u + 1] + parallax) * target[0] + target[2]
             first_u, last_u = max(int(np.floor(x0)), 0), min(int(np.floor(x1)), columns - 1)
-            first_v, last_v = max(int(np.floor(y0)), 0), min(int(np.floor(y1)), rows - 1)
             for j in range(first_v, last_v + 1):
                 for i in range(first_u, last_u + 1):
                     if z < out[j, i]:

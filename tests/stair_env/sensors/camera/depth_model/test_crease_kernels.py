@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stair_env.sensors.camera.depth_model.crease_kernels import resample, round_creases
+from stair_env.sensors.camera.depth_model.crease_kernels import round_creases
 
 H, W = 60, 90
 
@@ -52,8 +52,12 @@ def test_jumps_and_shadows_stay():
     np.testing.assert_array_equal(rounded(jump, 4, measured=hidden) == 0.0, hidden == 0.0)
 
 
-def test_resample_copies_stretches():
-    image = np.arange(24, dtype=np.float32).reshape(4, 6)
-    out = np.empty_like(image)
-    resample(image, np.array([1, 1, 2, 3]), np.array([0, 2, 6]), np.array([1, 2]), out)
-    np.testing.assert_array_equal(out, image[[1, 1, 2, 3]][:, [1, 2, 2, 3, 4, 5]])
+@pytest.mark.parametrize("parts", [2, 3, 7])
+@pytest.mark.parametrize("half", [1, 4, 9])
+def test_rows_worked_on_in_parts_are_the_same_bits(half, parts):
+    rough = (20.0 + 0.1 * np.random.default_rng(1).standard_normal((H, W))).astype(np.float32)
+    whole, divided = rounded(rough, half), rough.copy()
+    for part in reversed(range(parts)):
+        begin, end = (H * edge // parts for edge in (part, part + 1))
+        round_creases(rough, half, np.float32(0.75), np.zeros((4, W), np.float32), divided, begin, end)
+    np.testing.assert_array_equal(divided, whole)

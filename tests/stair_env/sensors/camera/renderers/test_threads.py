@@ -30,3 +30,14 @@ def test_later_raises_what_the_work_raised(count, monkeypatch):
     result = threads.later(lambda: np.ones(2) @ np.ones(3))
     with pytest.raises(ValueError, match="mismatch"):
         result()
+
+
+def test_rows_do_not_wait_for_a_thread_that_does_other_work(monkeypatch):
+    monkeypatch.setattr(threads, "default_threads", lambda: 2)
+    hold = threading.Event()
+    other = threads.later(lambda: np.array(hold.wait(30)))
+    seen = []
+    threads.run_rows(seen.extend, 23, 2)
+    assert sorted(seen) == list(range(23)) and not hold.is_set()
+    hold.set()
+    assert other()
