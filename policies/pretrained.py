@@ -60,6 +60,11 @@ class Policy:
         self.action_space: gym.Space = self.model.action_space
         self._recall = Recall(card) if remembers(self.observation_space) else None
 
+    @property
+    def _model(self) -> Any:
+        """What `model` was called before it was public; scripts that look in still find it."""
+        return self.model
+
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[np.ndarray, Any]:

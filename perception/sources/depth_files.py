@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from perception.data.stair_dataset import GREY_LEVEL_M, MILLIMETRE, DatasetError
+from perception.data.stair_dataset import GREY_LEVEL_M, MILLIMETRE, DatasetError, decode_image
 from perception.sources.hints import COLOURISED, GREY_DEPTH
 
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".bmp")
@@ -69,13 +69,7 @@ def _load(path: Path) -> np.ndarray:
     os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")  # off by default; read when the first EXR file is
     import cv2
 
-    try:
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise DatasetError(f"{path}: cannot be read as an image: {' '.join(str(error).split())}") from None
-    if image is None:
-        raise DatasetError(f"{path}: cannot be read as an image")
-    return np.asarray(image)
+    return decode_image(path, cv2.IMREAD_UNCHANGED)
 
 
 def is_grey_16_bit(path: Path) -> bool:
