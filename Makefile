@@ -68,7 +68,7 @@ test-device: $(VENV)/.device
 	$(ONE_THREAD) $(BIN)/python -m pytest -q -rs $(DEVICE_TESTS)
 
 $(VENV)/.device: $(STAMP)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,rerun,watch]' playwright
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,exr,rerun,watch]' playwright
 	@touch $@
 
 # An environment of its own: what builds pages is no part of what runs. The last line is skipped where no browser is.

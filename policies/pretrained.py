@@ -23,6 +23,7 @@ from policies.remembering import Recall, remembers, without_memory
 from policies.rollout import CONTROLS
 from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
+from stair_env.common.files import read_json_object
 from stair_env.common.importing.extras import naming_extras
 from stair_env.robots import DEFAULT_ROBOT, get_robot
 
@@ -59,6 +60,11 @@ class Policy:
         self.observation_space: gym.Space = self.model.observation_space
         self.action_space: gym.Space = self.model.action_space
         self._recall = Recall(card) if remembers(self.observation_space) else None
+
+    @property
+    def _model(self) -> Any:
+        """What `model` was called before it was public; scripts that look in still find it."""
+        return self.model
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -236,10 +242,15 @@ def read_card(policy: str | Path, weights: Path = WEIGHTS_FOLDER) -> dict[str, A
 
 
 def _card_in(folder: Path) -> dict[str, Any]:
-    """The card in a folder; empty where there is none."""
-    file = folder / CARD_FILE
-    card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    return card
+    """The card in a folder, empty where there is none; a damaged one is a PolicyError."""
+    return _read_object(folder / CARD_FILE) if (folder / CARD_FILE).is_file() else {}
+
+
+def _read_object(file: Path) -> dict[str, Any]:
+    try:
+        return read_json_object(file)
+    except ValueError as error:
+        raise PolicyError(str(error)) from None
 
 
 @naming_extras()
@@ -334,8 +345,7 @@ def _manifest(weights: Path) -> dict[str, dict[str, str]]:
     path = weights / MANIFEST_FILE
     if not path.is_file():
         return {}
-    manifest: dict[str, dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))
-    return manifest
+    return _read_object(path)
 
 
 def _read_checked(name: str, weights: Path) -> dict[str, bytes]:

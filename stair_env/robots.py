@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.transforms import look_along
 from stair_env.common.validation import SpecError, check_choice, check_range
 from stair_env.scene.shapes import IDENTITY, Quaternion, Vector3
@@ -80,6 +81,7 @@ class RobotSpec:
     max_speed: float = 20.0
     rotor_inertia: float = 0.01
 
+    @naming_fields
     def __post_init__(self) -> None:
         object.__setattr__(self, "kp", self.kp or 5.0 * self.max_torque)
         object.__setattr__(self, "kd", self.kd or self.kp / 80.0)

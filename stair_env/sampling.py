@@ -15,6 +15,7 @@ from stair_env.common.constants import (
     STEP_COUNT_RANGE,
     TREAD_RANGE_M,
 )
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, as_range, check_choice, check_range
 from stair_env.scene.appearance import AppearanceSpec, Lighting
 from stair_env.scene.objects.fittings import draw_fittings
@@ -79,6 +80,7 @@ class SceneSampler:
     details: bool = True
     clutter: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))
         object.__setattr__(self, "tread_depth", as_range("tread_depth", self.tread_depth, *TREAD_RANGE_M))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from perception.looking.frame_measurement import Measurement
     from perception.sources.preparation import SourceFrame
 
-EXIT_ENDED_EARLY = 2  # the source broke off; what came before is in the results
+EXIT_INCOMPLETE = 2  # the source broke off, or what it calls depth is none; what was read is in the results
 
 
 def add_parser(subparsers: Any) -> None:
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
     source, preparation = open_from(args)
     entries: list[dict[str, Any]] = []
-    failure: SourceError | None = None
+    failure: Exception | None = None
     try:
         estimator = StairEstimator(args.width, args.backend, method=args.method)
         with _outputs(args) as outputs:
@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
                     output(measured)
                 entries.append(entry)
                 _print(measured, seconds)
+                failure = failure or _no_depth_file(measured.frame)
     except SourceError as error:
         failure = error
     finally:
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         if not entries:
             raise failure
         print(f"stair-env perceive: error: {failure}", file=sys.stderr)
-        return EXIT_ENDED_EARLY
+        return EXIT_INCOMPLETE
     if not entries:
         raise ValueError(f"{source.name}: holds no frame")
     return 0
@@ -97,6 +98,15 @@ def _measured(
         now = time.perf_counter()
         yield measured, (now - start, now - last)
         last = now
+
+
+def _no_depth_file(frame: SourceFrame) -> Exception | None:
+    """The error of a frame whose depth file is no depth: who gave one did not ask for lines alone."""
+    from perception.data.stair_dataset import DatasetError
+    from perception.sources.hints import NO_DEPTH_ADVICE, NO_DEPTH_FILE
+
+    told = [hint for hint in frame.hints if hint in NO_DEPTH_FILE]
+    return DatasetError(f"{frame.files[-1]}: {told[0]}; {NO_DEPTH_ADVICE}") if told else None
 
 
 class _GreyScale:

@@ -18,6 +18,8 @@ from perception.data.frame_files import FrameOptions, read_frame
 from perception.data.label_grid import read_label_file
 from perception.data.stair_dataset import read_depth, read_side_car
 from perception.inference.weights import WEIGHTS_DIR, load_network
+from perception.lens.calibration_files import read_extrinsics, read_lens
+from perception.sources.depth_files import read_depth_file
 from policies.evaluate.evaluation import EvaluationConfig
 from policies.hyperparams import load_hyperparams
 from policies.train.training import TrainingConfig
@@ -170,3 +172,53 @@ def test_a_colourised_picture_is_no_depth(tmp_path: Path) -> None:
     assert read_depth(tmp_path / "grey.png").shape == depth.shape
     with pytest.raises(ValueError, match=r"colour.png: three different channels"):
         read_depth(tmp_path / "colour.png")
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg", "tiff", "pgm", "npy"])
+def test_depth_files_that_are_cut_or_written_over_are_told_or_read(ending: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path, depth = tmp_path / f"depth.{ending}", rng.integers(500, 3000, (40, 60)).astype(np.uint16)
+    if ending == "npy":
+        np.save(path, depth)
+    else:
+        write_image(path, (depth // 16).astype(np.uint8) if ending == "jpg" else depth)
+    content = path.read_bytes()
+    cut = [content[: len(content) * tenth // 10] for tenth in range(10)]
+    spots = rng.integers(len(content), size=10)
+    for broken in (*cut, *(content[:at] + rng.bytes(9) + content[at + 9 :] for at in spots)):
+        path.write_bytes(broken)
+        try:
+            read = read_depth_file(path)
+        except ValueError as error:
+            assert path.name in str(error)
+        else:
+            assert read.depth_m is None or np.isfinite(read.depth_m).all()
+
+
+@pytest.mark.parametrize("ending", ["json", "yaml"])
+@TOLD
+@given(content=st.one_of(st.binary(max_size=60), JSON.map(lambda value: json.dumps(value).encode())))
+def test_files_of_a_camera(ending: str, tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / f"camera.{ending}"
+    path.write_bytes(content)
+    for read in (lambda file: read_lens(file, 640, 480), read_extrinsics):
+        try:
+            read(path)
+        except ValueError as error:
+            assert path.name in str(error)
+
+
+@TOLD
+@given(
+    st.dictionaries(
+        st.sampled_from(["K", "k", "camera_matrix", "fx", "fy", "cx", "cy", "ppx", "coeffs", "model", "width", "D"]),
+        JSON,
+    )
+)
+def test_lenses_from_any_values(tmp_path: Path, values: dict[str, Any]) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(values))
+    try:
+        assert read_lens(path, 640, 480).intrinsics.fx > 0
+    except ValueError as error:
+        assert "camera.json" in str(error)

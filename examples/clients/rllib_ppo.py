@@ -1,6 +1,7 @@
 """RLlib: PPO on flattened observations; an environment of its own, for Ray asks for one version of Gymnasium."""
 
 import gymnasium as gym
+import ray
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.tune.registry import register_env
 
@@ -15,6 +16,7 @@ def make(config: dict) -> gym.Env:
 
 
 if __name__ == "__main__":
+    ray.init(address="local", num_cpus=2, include_dashboard=False)  # its own, not one that happens to run here
     register_env("stairs", make)
     config = (
         PPOConfig()
@@ -30,3 +32,4 @@ if __name__ == "__main__":
     assert runners["num_env_steps_sampled"] >= 256, runners
     print(f"rllib: {runners['num_env_steps_sampled']} steps, mean return {runners['episode_return_mean']:.1f}")
     algorithm.stop()
+    ray.shutdown()

@@ -16,6 +16,7 @@ import numpy as np
 
 from perception.data.depth_corruption import corrupt_depth, meaningless_depth
 from perception.data.stair_dataset import Sample
+from stair_env.common.field_kinds import naming_fields
 
 SPECKLE_LEVELS = (2.0, 12.0)  # standard deviation of added colour noise, grey levels
 BLUR_PX = (0.5, 2.5)  # standard deviation of defocus, pixels
@@ -68,6 +69,7 @@ class AugmentationConfig:
     other_depth: float = 0.05
     meaningless_depth: float = 0.04
 
+    @naming_fields
     def __post_init__(self) -> None:
         for name in _PROBABILITIES:
             if not 0.0 <= getattr(self, name) <= 1.0:

@@ -15,7 +15,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from perception.data.stair_dataset import DEPTHS, GREY_LEVEL_M, IMAGE_SUFFIXES, DatasetError, read_side_car
+from perception.data.stair_dataset import (
+    DEPTHS,
+    GREY_LEVEL_M,
+    IMAGE_SUFFIXES,
+    DatasetError,
+    decode_image,
+    read_side_car,
+)
 from stair_env.common.constants import IMAGE_SIZE
 from stair_env.common.files import atomic_path
 from stair_env.intrinsics import Intrinsics
@@ -47,9 +54,7 @@ def convert(folder: Path, grey_level_m: float = GREY_LEVEL_M) -> Iterator[str]:
         side_car = image.with_suffix(".json")
         if not mask_path.is_file():
             _write(mask_path, stair_mask(read_side_car(side_car), str(side_car)))
-        depth = cv2.imread(str(depth_path), cv2.IMREAD_UNCHANGED)
-        if depth is None:
-            raise DatasetError(f"{depth_path}: cannot be read as an image")
+        depth = decode_image(depth_path, cv2.IMREAD_UNCHANGED)
         if depth.dtype == np.uint16:
             values = read_side_car(side_car)
             grey = np.clip(np.rint(depth * (values.get("depth_scale", 0.001) / grey_level_m)), 0, 255)

@@ -161,7 +161,7 @@ def read_colour(path: str | Path) -> np.ndarray:
     Raises:
         DatasetError: the file is missing or no image.
     """
-    image = _decoded(path, cv2.IMREAD_COLOR)
+    image = decode_image(path, cv2.IMREAD_COLOR)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -176,7 +176,7 @@ def read_depth(path: str | Path, *, unit_m: float = MILLIMETRE, grey_level_m: fl
     Raises:
         DatasetError: the file is missing, no image, one in colour, or neither 8- nor 16-bit.
     """
-    image = _decoded(path, cv2.IMREAD_UNCHANGED)
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
     if image.ndim == 3:
         if image.shape[2] >= 3 and not (image[..., :3] == image[..., :1]).all():
             raise DatasetError(
@@ -190,7 +190,16 @@ def read_depth(path: str | Path, *, unit_m: float = MILLIMETRE, grey_level_m: fl
     return image.astype(np.float32) * np.float32(scales[image.dtype])
 
 
-def _decoded(path: str | Path, flags: int) -> np.ndarray:
+def decode_image(path: str | Path, flags: int) -> np.ndarray:
+    """Decode an image file, whatever its name.
+
+    Args:
+        path: of the file.
+        flags: of `cv2.imdecode`.
+
+    Raises:
+        DatasetError: the file is missing or no image.
+    """
     try:
         return read_image(path, flags)
     except (OSError, ValueError) as error:

@@ -15,6 +15,7 @@ import numpy as np
 
 from perception.inference.preprocess import letterbox, letterbox_lines
 from stair_env.common.constants import IMAGE_SIZE, NOMINAL_GRAVITY_M_S2
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import check_choice, check_range
 from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.sampling import SceneSampler, sample_camera_pose
@@ -53,6 +54,7 @@ class FrameConfig:
     sensor_errors: bool = True
     stereo_variants: int = 0
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_range("stereo_variants", self.stereo_variants, 0, 9)
         check_range("robot_share", self.robot_share, 0.0, 1.0)

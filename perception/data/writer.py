@@ -21,6 +21,7 @@ import numpy as np
 from perception.data.label_grid import format_labels
 from perception.data.stair_dataset import read_side_car
 from perception.data.synthetic import DEPTH_UNIT_M, FrameConfig, LabelledFrame, draw_frame
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import atomic_path
 
 SPLITS = ("train", "val", "test")
@@ -50,6 +51,7 @@ class DatasetPlan:
     seed: int = 0
     config: FrameConfig = field(default_factory=FrameConfig)
 
+    @naming_fields
     def __post_init__(self) -> None:
         for split, count in self.frames.items():
             if split not in SPLITS:

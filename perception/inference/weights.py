@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from stair_env.common.console import quiet
 from stair_env.common.constants import IMAGE_SIZE, NETWORK_WIDTHS
-from stair_env.common.files import atomic_path
+from stair_env.common.files import atomic_path, read_json_object
 from stair_env.common.importing.extras import naming_extras
 
 if TYPE_CHECKING:
@@ -186,6 +186,6 @@ def read_card(width: float, folder: Path = WEIGHTS_DIR) -> dict[str, Any]:
 
     Raises:
         WeightsError: it is missing.
+        ValueError: it is no JSON object.
     """
-    card: dict[str, Any] = json.loads(weights_path(width, "json", folder).read_text(encoding="utf-8"))
-    return card
+    return read_json_object(weights_path(width, "json", folder))

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from perception.network import RawOutput
+from stair_env.common.field_kinds import naming_fields
 
 X_CHANNELS = (0, 2, 4, 6)  # of the location output: x1 y1 x2 y2 x3 y3 x4 y4
 Y_CHANNELS = (1, 3, 5, 7)
@@ -51,6 +52,7 @@ class LossWeights:
     x: float = INITIAL_DYNAMIC_WEIGHT
     y: float = INITIAL_DYNAMIC_WEIGHT
 
+    @naming_fields
     def __post_init__(self) -> None:
         for name in ("x", "y"):
             value = getattr(self, name)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -183,6 +184,8 @@ def train(
             raise ValueError(f"devices={devices!r} must divide the preset's {name}={getattr(module.preset, name)}")
     # Channels-last must stay off while training: torch's CPU kernels for dilated grouped convolutions corrupt memory.
     last = output / "last.ckpt"
+    if resume and last.is_file() and not zipfile.is_zipfile(last):
+        raise ValueError(f"{last}: damaged or cut short; remove it to begin anew")
     keep = [
         ModelCheckpoint(output, filename="best", monitor="val/iou", mode="max", enable_version_counter=False),
         ModelCheckpoint(output, filename="last", save_top_k=1, monitor=None, enable_version_counter=False),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from perception.data.augmentation import AugmentationConfig
+from stair_env.common.field_kinds import naming_fields
 
 SCHEDULES = ("step", "cosine")
 
@@ -56,6 +57,7 @@ class TrainingPreset:
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
 
+    @naming_fields
     def __post_init__(self) -> None:
         if self.schedule not in SCHEDULES:
             raise ValueError(f"schedule={self.schedule!r} must be one of {', '.join(SCHEDULES)}")

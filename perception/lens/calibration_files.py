@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from perception.lens.lenses import HALF_PIXEL, Lens, realsense_distorted, ros_lens
-from stair_env.common.validation import SpecError
 from stair_env.intrinsics import Intrinsics
 
 OURS, SDK = ("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy")
@@ -62,7 +61,7 @@ def lens_from_values(values: Mapping[str, Any], width: int, height: int, where: 
     """A lens from a mapping in any of the three forms; see `read_lens`."""
     try:
         lens = _read(values, width, height)
-    except (SpecError, TypeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, KeyError, IndexError, OverflowError) as error:  # SpecError is a ValueError
         raise CalibrationError(f"{where}: {error}") from None
     if lens is None:
         raise CalibrationError(

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, check_choice
 from stair_env.intrinsics import Intrinsics
 
@@ -47,6 +48,7 @@ class Lens:
     distortion: str = "none"
     coefficients: tuple[float, ...] = field(default=())
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_choice("distortion", self.distortion, DISTORTIONS)
         values = tuple(float(value) for value in self.coefficients)

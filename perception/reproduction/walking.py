@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stair_env.common.constants import BACKENDS, SCENE_LIGHTINGS, WALK_DRIVERS, WALKING_DIRECTIONS
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import check_choice, check_range
 from stair_env.observation import STAIR_FIELDS, StairBlock
 from stair_env.robots import get_robot
@@ -53,6 +54,7 @@ class LiveConfig:
     stairs: tuple[PaperStair, ...] = PAPER_STAIRS
     workers: int = 1
 
+    @naming_fields
     def __post_init__(self) -> None:
         for driver in self.drivers:
             check_choice("driver", driver, WALK_DRIVERS)

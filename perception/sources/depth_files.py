@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from perception.data.stair_dataset import GREY_LEVEL_M, MILLIMETRE, DatasetError
+from perception.data.stair_dataset import GREY_LEVEL_M, MILLIMETRE, DatasetError, decode_image
 from perception.sources.hints import COLOURISED, GREY_DEPTH
 
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".bmp")
 DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".exr", ".pgm", ".jpg", ".jpeg")
+EXR_DEPTH = ("Z", "depth", "Y")  # channels that are depth where there are others
 SAME_CHANNELS = 3  # grey levels by which the channels of a grey picture differ after JPEG
 
 
@@ -66,16 +67,37 @@ def _load(path: Path) -> np.ndarray:
             return np.asarray(np.load(path, allow_pickle=False))
         except (OSError, ValueError, EOFError) as error:
             raise DatasetError(f"{path}: cannot be read as an array: {error}") from None
-    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")  # off by default; read when the first EXR file is
+    if path.suffix.lower() == ".exr":
+        return _load_exr(path)
     import cv2
 
+    return decode_image(path, cv2.IMREAD_UNCHANGED)
+
+
+def _load_exr(path: Path) -> np.ndarray:
+    """By OpenEXR's own library, else by an OpenCV that was built with it (PyPI's, from 5.0 on, is not)."""
     try:
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise DatasetError(f"{path}: cannot be read as an image: {' '.join(str(error).split())}") from None
-    if image is None:
-        raise DatasetError(f"{path}: cannot be read as an image")
-    return np.asarray(image)
+        import OpenEXR
+    except ModuleNotFoundError:
+        os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")  # off by default; read when the first EXR file is
+        import cv2
+
+        if not cv2.haveImageReader(str(path)):
+            raise DatasetError(
+                f"{path}: cannot be read as an image; is it EXR, pip install 'stair-env[exr]' brings its library"
+            ) from None
+        return decode_image(path, cv2.IMREAD_UNCHANGED)
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file")
+    try:
+        with OpenEXR.File(os.fspath(path)) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except Exception as error:  # its errors share no base class
+        raise DatasetError(f"{path}: cannot be read as EXR: {' '.join(str(error).split())}") from None
+    found = [channels[name] for name in (*EXR_DEPTH, *channels) if channels.get(name) is not None]
+    if not found:  # a file that is cut has names and no pixels
+        raise DatasetError(f"{path}: cannot be read as EXR: holds no pixels")
+    return np.asarray(found[0])
 
 
 def is_grey_16_bit(path: Path) -> bool:

@@ -21,9 +21,13 @@ LEAST_VALID = 0.02  # share of pixels with depth
 
 ASSUMED_D435I = "intrinsics: none given; those of a D435i's colour camera at this size are assumed"
 GREY_DEPTH = "depth-8-bit: depth has 256 levels, and how far one is, is stated nowhere; --grey-level METRES says it"
-COLOURISED = "depth-colourised: the depth image is a coloured picture of depth, not depth; it is left out"
+COLOURISED = (
+    "depth-colourised: the depth image has three different channels, a colourised picture and no depth; it is left out"
+)
 SAME_FILE = "same-file: colour and depth are one and the same picture; depth is left out"
 SWAPPED = "swapped: the colour image is 16-bit and grey, the depth image has colours; give RGB first, then DEPTH"
+NO_DEPTH_FILE = (COLOURISED, SAME_FILE, SWAPPED)  # what was given as depth is none
+NO_DEPTH_ADVICE = "save depth as 16-bit png in millimetres (Z16)"
 
 
 def frame_hints(depth_m: np.ndarray | None, intrinsics: Intrinsics, gravity: np.ndarray | None) -> tuple[str, ...]:

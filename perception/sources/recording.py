@@ -22,6 +22,7 @@ from perception.lens.lenses import HALF_PIXEL, Lens
 from perception.sources.folders import CAMERA_FILE, TUM_LISTS
 from perception.sources.preparation import SourceFrame
 from perception.sources.source import MissingExtraError, SourceError
+from stair_env.common.images import write_image
 from stair_env.intrinsics import Intrinsics
 
 UNIT_M = 0.001  # of depth, in every kind of recording
@@ -127,8 +128,7 @@ class FolderRecorder:
 
     def _write(self, folder: str, name: str, image: np.ndarray, time_s: float) -> None:
         path = self._folder / folder / name
-        if not cv2.imwrite(str(path), np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION]):
-            raise OSError(f"{path}: cannot be written")
+        write_image(path, image, (cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION))
         self._lists[f"{folder}.txt"] = f"{time_s:.9f} {folder}/{name}\n"
         self._flush(f"{folder}.txt")
 

@@ -16,6 +16,7 @@ from policies.make_env import PERCEPTION_ID, make_env
 from policies.report.film import Film, open_video
 from policies.rollout import Episode, StepHook, measurement_summary, run_episode
 from stair_env.common.constants import DEMO_LIGHTINGS, EPISODE_DIRECTIONS
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import check_choice
 
 MAX_STEPS = 720  # 15 s; a flight takes about 7
@@ -51,6 +52,7 @@ class DemoConfig:
     seed: int = 0
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_choice("direction", self.direction, EPISODE_DIRECTIONS)
         check_choice("lighting", self.lighting, DEMO_LIGHTINGS)

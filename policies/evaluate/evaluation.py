@@ -25,6 +25,7 @@ from policies.make_env import CLIMB_ID, PERCEPTION_ID
 from policies.rollout import Episode, Predictor, measurement_summary, run_episode
 from policies.statistics import wilson_interval
 from stair_env.common.constants import EVALUATION_SOURCES, GRAVITY_M_S2, WALKING_DIRECTIONS
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import check_choice
 from stair_env.physics.simulation import CONTROL_DT
 from stair_env.robots import DEFAULT_ROBOT, get_robot
@@ -96,6 +97,7 @@ class EvaluationConfig:
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
     workers: int = 1
 
+    @naming_fields
     def __post_init__(self) -> None:
         if not self.sources:
             raise ValueError(f"sources is empty, choose from {', '.join(EVALUATION_SOURCES)}")

@@ -21,6 +21,7 @@ from policies.evaluate.demo_flights import DemoConfig, run_demo
 from policies.make_env import CLIMB_ID, make_env
 from policies.rollout import Episode, run_episode
 from policies.train.cards import PAGE_FILE, write_card
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import atomic_path, provenance, write_json
 
 TRAINING_ONLY = ("curriculum", "randomization", "spawn", "stair_source", "privileged")  # of an environment's arguments
@@ -52,6 +53,7 @@ class PublishConfig:
     minari: str | None = None
     seed: int = 0
 
+    @naming_fields
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ValueError(f"episodes={self.episodes!r} must be >= 1")

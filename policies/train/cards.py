@@ -12,7 +12,7 @@ from policies.train.checkpoints import read_state
 from policies.train.curves import CURVE_FILE, read_curve
 from policies.train.described import described
 from policies.train.training import CARD_FILE, CONFIG_FILE, load_config
-from stair_env.common.files import atomic_path
+from stair_env.common.files import atomic_path, read_json_object
 from stair_env.common.markdown import format_value, markdown_table
 
 PROVENANCE = ("seed", "commit", "date", "machine")
@@ -56,8 +56,7 @@ def run_card(folder: Path) -> tuple[dict[str, Any], Path | None]:
 
 def _read(path: Path) -> dict[str, Any]:
     """A JSON object; empty where there is no file."""
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return content
+    return read_json_object(path) if path.is_file() else {}
 
 
 def write_card(
@@ -108,8 +107,8 @@ def _training(card: Mapping[str, Any]) -> str:
 
 
 def _evaluation(path: Path) -> str:
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(content, dict) or "overall" not in content:
+    content = read_json_object(path)
+    if "overall" not in content:
         raise ValueError(f"{path} is no result of `stair-env evaluate`: it has no 'overall'")
     rows = [
         {"source": source, **{key: values[key] for key in EVALUATED if key in values}}

@@ -7,15 +7,19 @@ complete, so a kill at any moment leaves the previous one.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
 import random
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from stair_env.common.files import read_json_object
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -74,10 +78,28 @@ def list_checkpoints(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob(f"{FOLDER_PREFIX}*") if (path / STATE_FILE).is_file())
 
 
+@contextlib.contextmanager
+def naming_damage(checkpoint: Path) -> Iterator[None]:
+    """Turn whatever reading a damaged checkpoint raises inside the block into one error that names it.
+
+    Raises:
+        ValueError: in place of anything but a lack of memory.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # of zip files, pickles, torch and Stable-Baselines3, which share no base class
+        told = " ".join(str(error).split())[:200]
+        raise ValueError(
+            f"{checkpoint}: damaged or cut short, remove this folder to go on from the one before: "
+            f"{type(error).__name__}: {told}"
+        ) from error
+
+
 def read_state(checkpoint: Path) -> dict[str, Any]:
     """The checkpoint's `num_timesteps` and `curriculum`."""
-    state: dict[str, Any] = json.loads((checkpoint / STATE_FILE).read_text(encoding="utf-8"))
-    return state
+    return read_json_object(checkpoint / STATE_FILE)
 
 
 def restore_random_state(checkpoint: Path) -> None:

@@ -7,10 +7,11 @@ it.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from stair_env.common.files import read_json_object
 
 CURVE_FILE = "curve.csv"
 CONFIG_FILE = "config.json"
@@ -58,7 +59,7 @@ def compare_runs(runs: Iterable[Path | str]) -> dict[str, Any]:
         curve = read_curve(run / CURVE_FILE)
         if not curve or not (run / CONFIG_FILE).is_file():
             raise ValueError(f"{run} holds no {CURVE_FILE} with rows beside a {CONFIG_FILE}")
-        config = json.loads((run / CONFIG_FILE).read_text(encoding="utf-8"))
+        config = read_json_object(run / CONFIG_FILE)
         shared = {name: config.get(name) for name in SHARED}
         if settings not in (None, shared):
             raise ValueError(f"{run} differs from the runs before it in more than the seed")

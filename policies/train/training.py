@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
-import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,11 +20,13 @@ import numpy as np
 
 from policies.hyperparams import ALGORITHMS, load_hyperparams
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.saved_models import read_pickle
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
 from policies.train.described import described, described_objects
 from policies.train.wandb_run import wandb_run
-from stair_env.common.files import provenance, write_json
+from stair_env.common.field_kinds import naming_fields
+from stair_env.common.files import provenance, read_json_object, write_json
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class TrainingConfig:
     torch_threads: int = 1
     rerun: bool = False
 
+    @naming_fields
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {', '.join(ALGORITHMS)}")
@@ -186,7 +188,7 @@ def load_config(folder: Path | str) -> TrainingConfig:
         FileNotFoundError: the folder holds no run.
         ValueError: the run's environment has parts that are objects, which no file brings back.
     """
-    values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
+    values = read_json_object(Path(folder) / CONFIG_FILE)
     objects = described_objects(values.get("env_kwargs"))
     if objects:
         raise ValueError(
@@ -249,12 +251,12 @@ def build_model(config: TrainingConfig, hyperparams: Mapping[str, Any], venv: Ve
 def _new_model(
     config: TrainingConfig, hyperparams: Mapping[str, Any], venv: VecEnv, start_from: Path | None
 ) -> BaseAlgorithm:
-    from stable_baselines3.common.vec_env import VecNormalize
-
     normalisation = _split(hyperparams)[1]
     if start_from is not None and (start_from / checkpoints.NORMALISATION_FILE).exists():
-        venv = VecNormalize.load(str(start_from / checkpoints.NORMALISATION_FILE), venv)
-        venv.training = True
+        statistics = read_pickle((start_from / checkpoints.NORMALISATION_FILE).read_bytes())  # may be foreign
+        statistics.set_venv(venv)
+        statistics.training = True
+        venv = statistics
     elif normalisation:
         options = normalisation if isinstance(normalisation, dict) else {}
         venv = normalise(venv, gamma=float(hyperparams.get("gamma", DEFAULT_GAMMA)), options=options)
@@ -286,14 +288,15 @@ def _load_model(
     from stable_baselines3.common.vec_env import VecNormalize
 
     LOGGER.info("resuming from %s", checkpoint)
-    state = checkpoints.read_state(checkpoint)
     bare = venv
-    if (checkpoint / checkpoints.NORMALISATION_FILE).exists():
-        venv = VecNormalize.load(str(checkpoint / checkpoints.NORMALISATION_FILE), venv)
-    model = algorithm_class(config.algorithm).load(checkpoint / checkpoints.MODEL_FILE, env=venv, device="cpu")
-    if (checkpoint / checkpoints.REPLAY_FILE).exists():
-        model.load_replay_buffer(checkpoint / checkpoints.REPLAY_FILE)  # type: ignore[attr-defined]
-    checkpoints.restore_random_state(checkpoint)
+    with checkpoints.naming_damage(checkpoint):
+        state = checkpoints.read_state(checkpoint)
+        if (checkpoint / checkpoints.NORMALISATION_FILE).exists():
+            venv = VecNormalize.load(str(checkpoint / checkpoints.NORMALISATION_FILE), venv)
+        model = algorithm_class(config.algorithm).load(checkpoint / checkpoints.MODEL_FILE, env=venv, device="cpu")
+        if (checkpoint / checkpoints.REPLAY_FILE).exists():
+            model.load_replay_buffer(checkpoint / checkpoints.REPLAY_FILE)  # type: ignore[attr-defined]
+        checkpoints.restore_random_state(checkpoint)
     # The episodes that the kill cut off are gone: new ones, seeded by where the run stands.
     bare.seed(int(np.random.SeedSequence([config.seed, state["num_timesteps"]]).generate_state(1)[0] >> 1))
     checkpoints.restore_curriculum(bare, state["curriculum"])

@@ -46,6 +46,22 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not JSON-able")
 
 
+def read_json_object(path: Path | str) -> dict[str, Any]:
+    """Read a file of one JSON object.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it holds anything else; the message names the file.
+    """
+    try:
+        found = json.loads(Path(path).read_bytes())
+    except (ValueError, RecursionError) as error:  # no JSON, no text, or brackets without end
+        raise ValueError(f"{path}: not JSON, damaged or cut short: {error}") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"{path}: must hold a JSON object, holds {type(found).__name__}")
+    return found
+
+
 @contextlib.contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """Yield a temporary file that takes the place of `path` when the block ends without an error.

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, check_choice, check_range, from_mapping, has_parts
 from stair_env.observation import StairBlock
 from stair_env.onboard.gait import Gait, GaitConfig
@@ -88,6 +89,7 @@ class JointActuation:
     pose: Sequence[float] | None = None
     clock_hz: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         per_joint("actuation.scale", self.scale, 0.0, math.pi)
         if self.pose is not None:

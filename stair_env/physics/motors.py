@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from stair_env.common.constants import CONTROL_DT
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, check_choice, check_range, from_mapping, has_parts
 from stair_env.physics.body_kernels import pd_torques
 from stair_env.physics.simulation import BaseTrack, Simulation
@@ -92,6 +93,7 @@ class PdActuator:
     corner: float = 0.5
     feed_forward: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         for name, highest in (
             ("kp", 2000.0),

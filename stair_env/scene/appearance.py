@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from stair_env.common.constants import SCENE_LIGHTINGS
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import JsonSpec, SpecError, check_choice, check_range, from_fields
 from stair_env.scene.marks import LightPattern, Soiling
 from stair_env.scene.materials.textures import MATERIALS, Texture, make_texture
@@ -200,6 +201,7 @@ class AppearanceSpec(JsonSpec):
     light_pattern: LightPattern | None = None
     soiling: Soiling | None = None
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_choice("lighting", self.lighting, SCENE_LIGHTINGS)
         if not self.distractors:

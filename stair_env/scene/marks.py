@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, check_range
 
 Pair = tuple[float, float]
@@ -52,6 +53,7 @@ class LightPattern:
     warp: float = 0.0
     strength: float = 0.8
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_range("angle_rad", self.angle_rad, -2 * math.pi, 2 * math.pi)
         _check_pair(self, "period_m", 0.02, 50.0)
@@ -91,6 +93,7 @@ class Soiling:
     wetness: float = 0.0
     grime: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_range("lane_gain", self.lane_gain, -0.8, 1.0)
         check_range("lane_y", self.lane_y, -5.0, 5.0)

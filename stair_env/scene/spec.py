@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import JsonSpec, SpecError, from_fields
 from stair_env.scene.appearance import AppearanceSpec, NosingStrip
 from stair_env.scene.objects.distractors import DistractorSpec
@@ -46,6 +47,7 @@ class SceneSpec(JsonSpec):
     surroundings: SurroundingsSpec | None = None
     fittings: FittingsSpec | None = None
 
+    @naming_fields
     def __post_init__(self) -> None:
         object.__setattr__(self, "distractors", tuple(self.distractors))
         if self.stairs is None and self.surroundings is None:

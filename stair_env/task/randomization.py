@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import as_range, check_range, from_mapping
 from stair_env.physics.motors import MotorBody
 
@@ -52,6 +53,7 @@ class Randomization:
     stiffness: Range = (0.9, 1.1)
     damping: Range = (0.9, 1.1)
 
+    @naming_fields
     def __post_init__(self) -> None:
         object.__setattr__(self, "friction", as_range("randomization.friction", self.friction, 0.1, 5.0))
         object.__setattr__(self, "payload_kg", as_range("randomization.payload_kg", self.payload_kg, -10.0, 30.0))

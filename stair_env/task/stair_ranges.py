@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from stair_env.common.constants import EPISODE_DIRECTIONS, RISER_RANGE_M, STEP_COUNT_RANGE, TREAD_RANGE_M
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, as_range, check_choice, check_range, has_parts
 from stair_env.sampling import SceneSpec
 from stair_env.stairs import StairSpec
@@ -36,6 +37,7 @@ class StairRanges:
     flight_width: float = 1.2
     uneven: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_choice("direction", self.direction, EPISODE_DIRECTIONS)
         object.__setattr__(self, "riser_height", as_range("riser_height", self.riser_height, *RISER_RANGE_M))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -190,3 +191,12 @@ def test_robots_and_policies_go_together(tmp_path: Path) -> None:
         pretrained.fitting_robot("a1", [folder])
     with pytest.raises(ValueError, match="robot='cat'"):
         pretrained.fitting_robot("cat", ["a1"])
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff"])
+def test_a_damaged_card_is_named(content: bytes, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(pretrained.WEIGHTS_FOLDER / "a1", folder)
+    (folder / "card.json").write_bytes(content)
+    with pytest.raises(PolicyError, match=r"card.json"):
+        pretrained.load(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -147,3 +148,29 @@ def test_record_writes_a_set_that_training_reads(pictures: Path, tmp_path: Path)
     assert "unchecked" in sample.meta["labels"] and len(sample.meta["gravity"]) == 3
     assert main(["record", str(out), "--output", str(tmp_path / "bare"), "--labels", "none"]) == 0
     assert sorted(path.name for path in (tmp_path / "bare").iterdir()) == ["depthes", "images"]
+
+
+@pytest.mark.parametrize("kind", ["colourised", "same file", "swapped"])
+def test_a_depth_file_that_is_no_depth_ends_in_an_error_beside_the_lines(
+    kind: str, pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rgb, depth = pictures / "rgb" / "0.png", pictures / "depth" / "0.png"
+    if kind == "colourised":
+        grey = cv2.convertScaleAbs(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED), alpha=0.06)
+        cv2.imwrite(str(tmp_path / "depth.png"), cv2.applyColorMap(grey, cv2.COLORMAP_TURBO))
+        depth = tmp_path / "depth.png"
+    words = [str(rgb), str(rgb if kind == "same file" else depth)]
+    out = tmp_path / "out.json"
+    assert main(["perceive", *(words[::-1] if kind == "swapped" else words), "--no-pictures", "--json", str(out)]) == 2
+    result, error = json.loads(out.read_text()), capsys.readouterr().err
+    assert len(result["frames"]) == 1 and result["frames"][0]["steps"] == [] and result["frames"][0]["hints"]
+    assert result["error"] in error and error.startswith("stair-env perceive: error: ") and error.count("\n") == 1
+
+
+def test_a_name_that_is_not_utf_8(pictures: Path, tmp_path: Path) -> None:
+    words = [tmp_path / os.fsdecode(b"tr\xe9ppe" + end) for end in (b".png", b"_depth.png")]
+    for name, path in zip(("rgb", "depth"), words):
+        path.write_bytes((pictures / name / "0.png").read_bytes())
+    folder = tmp_path / os.fsdecode(b"t\xe9")
+    assert len(perceive(tmp_path, *map(str, words), "--record", str(folder))["frames"]) == 1
+    assert len(perceive(tmp_path, str(folder))["frames"][0]["steps"]) > 0

@@ -171,15 +171,15 @@ def normal_equations(
     normal: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """Add what all points say about a small common rotation about (f, l, h); each face's value is eliminated.
+    """Add what a face's points say about a small rotation about (f, l, h); each face's value is eliminated.
 
     A rotation w moves p to p + w x p: h gains w_f l - w_l f, and f gains w_l h - w_h l.
 
     Args:
         rays, depth_m, ok, points_per_reading, rotation, sigma_per_m2, sigma_floor_m, cut: as in `explain`.
         kind, value: (K,) what each strip is; unknown ones say nothing.
-        normal: (3, 3), added to.
-        gradient: (3,), added to.
+        normal: (K, 3, 3), added to.
+        gradient: (K, 3), added to.
     """
     strips, points = depth_m.shape
     jacobian = np.empty((points, 3))
@@ -225,6 +225,6 @@ def normal_equations(
         for i in range(count):
             for k in range(3):
                 a = weights[i] * (jacobian[i, k] - mean[k])
-                gradient[k] += a * (residuals[i] - mean_residual)
+                gradient[strip, k] += a * (residuals[i] - mean_residual)
                 for m in range(3):
-                    normal[k, m] += a * (jacobian[i, m] - mean[m])
+                    normal[strip, k, m] += a * (jacobian[i, m] - mean[m])

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from perception.geometry.lines import median
-from perception.geometry.strips.strip_labels import RISER, Candidate, choose_kinds
+from perception.geometry.strips.strip_labels import RISER, TREAD, Candidate, choose_kinds
 from stair_env.intrinsics import Intrinsics
 
 COLUMN_BANDS = 27  # samples across a strip: the paper's nine sampling points, three columns each
@@ -37,6 +37,8 @@ PATCH_IMAGE_WIDTH_PX = 640.0  # of the image for which PATCH_PX holds
 ROBUST_CUT = 3.0  # residuals beyond this many standard deviations carry no weight
 MIN_POINTS = 24
 ITERATIONS = 2
+FACE_SLOPE_STD_RAD = math.radians(0.5)  # by which the pitches that good faces tell differ, beside their noise
+MIN_TREADS_TO_COMPARE = 3  # of which one may be the floor, and slope
 LINE_GATE_RAD = 0.02  # a line whose direction is farther from the others' says nothing about yaw
 
 
@@ -272,6 +274,32 @@ def _solve_rotation(
     return np.clip(step, -0.1, 0.1), cov
 
 
+def _free_odd_faces(normal: np.ndarray, gradient: np.ndarray, kind: np.ndarray) -> None:
+    """Let faces that contradict the treads slope on their own: a floor that falls off, risers that lean. In place.
+
+    Treads are built level, and alike. What they say of the pitch counts; a face that says something else has its own
+    turn about l eliminated from its normal matrix (K, 3, 3) and gradient (K, 3), the more freely the more it differs.
+    """
+    known = normal[:, 1, 1]
+    level = (kind == TREAD) & (known > 0.0)
+    if level.sum() < MIN_TREADS_TO_COMPARE:
+        return
+    turn = gradient[:, 1] / np.maximum(known, 1e-9)
+    doubt = np.hypot(FACE_SLOPE_STD_RAD, 1.0 / np.sqrt(np.maximum(known, 1e-9)))
+    odd = np.abs(turn - _weighted_median(turn[level], 1.0 / doubt[level] ** 2)) / doubt
+    own = FACE_SLOPE_STD_RAD * np.maximum(odd**2 - 1.0, 0.0)
+    share = own**2 / (1.0 + known * own**2)
+    column, pull = normal[:, :, 1].copy(), gradient[:, 1].copy()
+    normal -= column[:, :, None] * column[:, None, :] * share[:, None, None]
+    gradient -= column * (pull * share)[:, None]
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2.0)])
+
+
 def _equations(
     strips: Strips,
     kind: np.ndarray,
@@ -283,9 +311,11 @@ def _equations(
     """Normal matrix (3, 3) and gradient (3,) of what faces and lines say about a small rotation about (f, l, h)."""
     from perception.geometry.strips import strip_kernels
 
-    normal, gradient = np.zeros((3, 3)), np.zeros(3)
+    of_faces, pull = np.zeros((len(kind), 3, 3)), np.zeros((len(kind), 3))
     kernels: Any = strip_kernels
-    kernels.normal_equations(*_points(strips, rotation), kind, value, normal, gradient)
+    kernels.normal_equations(*_points(strips, rotation), kind, value, of_faces, pull)
+    _free_odd_faces(of_faces, pull, kind)
+    normal, gradient = of_faces.sum(axis=0), pull.sum(axis=0)
     # The horizontal line in the plane with normal n runs along (n_l, -n_f, 0): its yaw error is n_l / n_f.
     n_f, n_l, n_h = rotation @ views.normals.T
     seen = np.abs(n_f) > 0.05  # a line at the horizon says nothing about yaw

@@ -14,6 +14,7 @@ import numpy as np
 
 from perception.data.label_grid import order_left_first
 from perception.inference.preprocess import NEAREST_DEPTH_M
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import check_choice
 
 IMAGES = ("colour", "depth")
@@ -59,6 +60,7 @@ class ClassicalParameters:
     max_slope_deg: float = 30.0
     merge_px: float = 6.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         check_choice("image", self.image, IMAGES)
         for field in fields(self):

@@ -26,7 +26,7 @@ from perception.reproduction.baselines.baseline_training import (
     stairnet_arrays,
 )
 from perception.reproduction.baselines.other_fusions import ConcatenatingStairNet, FourChannelStairNet
-from stair_env.common.files import atomic_path
+from stair_env.common.files import atomic_path, read_json_object
 
 VALIDATION_FRAMES = 16  # after each epoch: enough for the sign of equations 5 and 6, and cheap beside the epoch
 WEIGHTS_FILE = "weights.safetensors"
@@ -145,7 +145,7 @@ class Run:
         if not path.is_file():
             return
         defaults = {field.name: field.default for field in dataclasses.fields(TrainingPreset)}  # of younger settings
-        there, wanted = defaults | json.loads(path.read_text(encoding="utf-8")), self.settings()
+        there, wanted = defaults | read_json_object(path), self.settings()
         other = [
             f"{name} {there.get(name)} instead of {value}" for name, value in wanted.items() if there.get(name) != value
         ]

@@ -35,7 +35,7 @@ from perception.reproduction.tables_2_3_6.classical_suite import Progress, valid
 from perception.reproduction.tables_2_3_6.figure7 import compare, exemplary_frames
 from perception.reproduction.tables_2_3_6.runs import LEARNED_ROWS, Run, load_run, train_missing
 from perception.reproduction.tables_2_3_6.tables import PAPER_TABLES, Scores, close_rows, table_notes, table_rows
-from stair_env.common.files import atomic_path
+from stair_env.common.files import atomic_path, read_json_object
 
 TIMED_FRAMES = 20
 SCORES_FILE = "test_scores.json"
@@ -201,7 +201,7 @@ class PaperSuite:
         path, test = run.path / SCORES_FILE, self._test.folder
         key = {"folder": str(test.resolve()), "frames": len(self._test)}
         if path.is_file():
-            there = json.loads(path.read_text(encoding="utf-8"))
+            there = read_json_object(path)
             if there["set"] == key:
                 return {split: Tally(DetectionCounts(*counts)) for split, counts in there["counts"].items()}
         scores = self._score(backend, name)

@@ -28,7 +28,8 @@ from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
 from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
-from stair_env.common.files import atomic_path, provenance, write_json
+from stair_env.common.field_kinds import naming_fields
+from stair_env.common.files import atomic_path, provenance, read_json_object, write_json
 from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ class ImitationConfig:
     episode_steps: int = 450
     vec_kind: str = "auto"
 
+    @naming_fields
     def __post_init__(self) -> None:
         for name in ("rounds", "steps_per_round", "num_envs", "updates", "final_factor", "batch_size", "episode_steps"):
             if getattr(self, name) < 1:
@@ -170,7 +172,7 @@ def load_config(folder: Path | str) -> ImitationConfig:
     Raises:
         FileNotFoundError: the folder holds no run.
     """
-    values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
+    values = read_json_object(Path(folder) / CONFIG_FILE)
     names = {item.name for item in dataclasses.fields(ImitationConfig)}
     return ImitationConfig(**{name: value for name, value in values.items() if name in names})
 

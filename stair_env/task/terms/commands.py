@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import as_range, check_range, from_mapping
 from stair_env.task.step_state import NO_COMMAND, Command, StepState
 
@@ -37,6 +38,7 @@ class CommandConfig:
     turn: Range = (0.0, 0.0)
     interval_s: float = 0.0
 
+    @naming_fields
     def __post_init__(self) -> None:
         for name in ("forward", "lateral"):
             span = as_range(f"command.{name}", getattr(self, name), -MAX_SPEED_M_S, MAX_SPEED_M_S)

@@ -196,3 +196,9 @@ def test_flushing_denormals_ends_with_the_training():
         assert torch.tensor(tiny, dtype=torch.float64).div(2).item() == 0.0
         raise RuntimeError("broke off")
     assert np.float64(tiny) / 2 > 0.0
+
+
+def test_a_damaged_checkpoint_is_named(data, tmp_path):
+    (tmp_path / "last.ckpt").write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(ValueError, match=r"last.ckpt: damaged"):
+        trained(data, tmp_path, QUICK, resume=True)

@@ -111,6 +111,25 @@ def test_resume_keeps_weights_statistics_and_random_state(toy_id: str, tmp_path:
     assert fresh.env_method("get_curriculum_state") == venv.env_method("get_curriculum_state")
 
 
+@pytest.mark.parametrize("file", ["model.zip", "vecnormalize.pkl", "state.json", "random.pkl"])
+def test_a_damaged_checkpoint_is_named(file: str, toy_id: str, tmp_path: Path) -> None:
+    config = toy_config(toy_id, tmp_path)
+    training.train(config, tmp_path / "run")
+    newest = checkpoints.list_checkpoints(tmp_path / "run" / "checkpoints")[-1]
+    content = (newest / file).read_bytes()
+    (newest / file).write_bytes(content[: len(content) // 2])
+    longer = dataclasses.replace(config, total_timesteps=512)
+    with pytest.raises(ValueError, match=rf"{newest.name}: damaged or cut short"):
+        training.train(longer, tmp_path / "run", resume=True)
+
+
+def test_a_damaged_run_is_named(toy_id: str, tmp_path: Path) -> None:
+    for content, says in (("{", "cut short"), ("[1]", "must hold a JSON object")):
+        (tmp_path / training.CONFIG_FILE).write_text(content)
+        with pytest.raises(ValueError, match=f"{training.CONFIG_FILE}: .*{says}"):
+            training.load_config(tmp_path)
+
+
 def test_only_the_newest_checkpoints_stay(toy_id: str, tmp_path: Path) -> None:
     training.train(toy_config(toy_id, tmp_path, steps=640), tmp_path / "run")
     names = [path.name for path in (tmp_path / "run" / "checkpoints").iterdir()]
