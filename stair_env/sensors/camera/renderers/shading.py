@@ -80,7 +80,7 @@ _LOBE_PEAK = np.float32(0.04)
 _BELOW_HORIZON = np.float32(0.6)  # brightness of the ground beyond the floor's end relative to the sky above it
 _KNEE = np.float32(0.75)  # radiance above which the film's shoulder begins
 
-part: Any = njit(nogil=True, error_model="numpy", fastmath=True)  # has no cache, see `visibility.part`
+part: Any = njit(nogil=True, error_model="numpy", fastmath=True, forceinline=True)  # see `visibility.part`
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 
 

@@ -27,10 +27,11 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _TINY = np.float32(1e-12)
 _HUGE = np.float32(1e30)
 
-# What only kernels call is compiled with its caller and has no cache of its own: a function that comes out of a cache
-# is linked as other code than one compiled alongside, and under these flags other code may round differently. So a
-# machine has one code for a kernel, whatever it had compiled before, and one seed gives one picture.
-part: Any = njit(nogil=True, error_model="numpy", fastmath=FAST_MATH)
+# What only kernels call is compiled into its caller, inlined by LLVM, and has no cache of its own. As a function it
+# would stand twice in a process that compiles (by itself, and as the caller's copy) and once in one that loads the
+# caller from the cache; the linker takes the first it meets, and under these flags the two may round differently. So
+# a machine has one code for a kernel, whatever it had compiled before, and one seed gives one picture.
+part: Any = njit(nogil=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST_MATH)
 
 
@@ -254,7 +255,7 @@ def _entries(indices, count, x0, x1, y0, y1, m, o, bounds, far, entries, order):
     return found
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True, fastmath=True, forceinline=True)
 def _maximum(values, scratch):  # type: ignore[no-untyped-def]
     """Largest of AREA values; eight at once, which is faster than waiting for one result after another."""
     part = AREA // 8
