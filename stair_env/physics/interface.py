@@ -15,8 +15,8 @@ from stair_env.physics.body_state import BaseState, BaseTrack, RobotReading
 from stair_env.robots import RobotSpec
 from stair_env.scene.shapes import Shape
 
-# Of Bullet's position motor, with velocities fed forward (docs/climbing.md): in a physics step a joint makes up for this
-# share of its angle's error, and for that share of what its velocity differs from the target's.
+# Of Bullet's position motor, with velocities fed forward (docs/climbing.md): in a physics step a joint makes up for
+# this share of its angle's error, and for that share of what its velocity differs from the target's.
 POSITION_GAIN, VELOCITY_GAIN = 0.03, 0.8
 FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's
 LEAST_TRUNK_MASS_KG = 0.2  # whatever a payload takes away

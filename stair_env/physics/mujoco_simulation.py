@@ -86,12 +86,16 @@ class MujocoSimulation:
         mass = max(LEAST_TRUNK_MASS_KG, self._base_mass + kilograms)
         self.model.body_inertia[TRUNK] *= mass / self.model.body_mass[TRUNK]
         self.model.body_mass[TRUNK] = mass
-        mujoco.mj_setConst(self.model, self.data)
+        self._derive_constants()
 
     def add_rotor_inertia(self, rotor_inertia: np.ndarray) -> None:
         """Give joints the inertia (12,) kg·m² of their motors: MuJoCo's armature."""
         self.model.dof_armature[self._rates] = rotor_inertia
-        mujoco.mj_setConst(self.model, self.data)
+        self._derive_constants()
+
+    def _derive_constants(self) -> None:
+        """Let MuJoCo work out anew what follows from masses, in data of its own: it leaves the robot at its zeros."""
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def place_robot(self, position: np.ndarray, yaw: float, joint_angles: np.ndarray, pitch: float = 0.0) -> None:
         """Teleport the robot, at rest; see `stair_env.physics.interface.Physics`."""
