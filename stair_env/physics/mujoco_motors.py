@@ -1,9 +1,9 @@
 """Position motors in MuJoCo that behave as Bullet's do: constraints of the solver, with a largest torque.
 
 Bullet's motor asks that a joint's velocity after a step be v + kp·(target − q)/dt + kd·(rate − v), and finds the torque
-for it together with the contacts, as long as there is enough of it. Here an equality constraint asks for the same change
-of velocity in the same time, as an acceleration. MuJoCo knows no largest force of an equality: a joint whose constraint
-took more than the motor has gets the motor's whole torque in its place, and the step is solved again.
+for it together with the contacts, as long as there is enough of it. Here an equality constraint asks for the same
+change of velocity in the same time, as an acceleration. MuJoCo knows no largest force of an equality: a joint whose
+constraint took more than the motor has gets the motor's whole torque in its place, and the step is solved again.
 """
 
 from __future__ import annotations
