@@ -1,7 +1,7 @@
 """Bullet and MuJoCo side by side: `python -m policies.evaluate.sim_to_sim OUT.json RESULTS.json ...`.
 
-Pairs results of `stair-env evaluate` (and rows of `stair-env benchmark`) that differ in nothing but the engine: the same
-policy on the same staircases, seed for seed.
+Pairs results of `stair-env evaluate` (and rows of `stair-env benchmark`) that differ in nothing but the engine: the
+same policy on the same staircases, seed for seed.
 """
 
 from __future__ import annotations

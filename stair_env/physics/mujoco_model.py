@@ -44,7 +44,9 @@ def read_robot(robot: RobotSpec) -> Any:
     """
     try:
         spec = mujoco.MjSpec.from_string(_collision_urdf(robot))
-        spec.worldbody.first_body().add_freejoint()
+        if (root := spec.worldbody.first_body()) is None:
+            raise ValueError("it has no link")
+        root.add_freejoint()
         _fill_inertias(spec)
         spec.copy().compile()
     except (ValueError, OSError, ElementTree.ParseError) as error:

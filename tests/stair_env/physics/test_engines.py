@@ -27,7 +27,7 @@ CAMERAS = {"stair_env/StairClimb-v0": {}}  # arguments of the ids that have no c
 
 @pytest.mark.parametrize("env_id", stair_env.ENV_IDS)
 def test_a_wrong_engine_names_the_choices(env_id):
-    with pytest.raises(SpecError, match="engine='ode'.*'bullet'.*'mujoco'"):
+    with pytest.raises(SpecError, match=r"engine='ode'.*'bullet'.*'mujoco'"):
         gym.make(env_id, engine="ode")
 
 
@@ -50,7 +50,7 @@ def test_bullet_needs_no_mujoco_and_loads_none():
 def test_bullets_renderers_are_refused_where_bullet_does_not_work():
     check_renderer("bullet", "tiny")
     check_renderer("mujoco", "raycast")
-    with pytest.raises(SpecError, match="renderer='tiny'.*engine='mujoco'.*'raycast'"):
+    with pytest.raises(SpecError, match=r"renderer='tiny'.*engine='mujoco'.*'raycast'"):
         check_renderer("mujoco", "tiny")
 
 

@@ -94,45 +94,6 @@ def test_joints_reach_their_targets_without_rushing(robot):
     sim.close()
 
 
-@pytest.mark.parametrize("engine", [Simulation, MujocoSimulation])
-def test_a_joint_follows_a_step_as_bullets_does(engine):
-    """A free robot whose knees are told to bend: the angle on its way agrees between the engines."""
-    robot = ROBOTS["aliengo"]
-    sim, joints = placed(robot, engine, height=2.0), standing_angles(robot)
-    sim.command_joints(joints)
-    target = joints + np.tile([0.0, 0.0, -0.1], 4)
-    sim.command_joints(target)
-    sim.step_and_track(SUBSTEPS)
-    sim.command_joints(target)
-    sim.step_and_track(SUBSTEPS)
-    left = np.abs(sim.joint_states()[0] - target)
-    sim.close()
-    assert left[2::3].max() < 0.02 and left.max() < 0.03
-
-
-@pytest.mark.parametrize("strength", [0.3, 1.0])
-def test_motors_never_exceed_their_torque(strength):
-    robot = ROBOTS["a1"]
-    sim, joints = placed(robot), standing_angles(robot)
-    rng, largest = np.random.default_rng(0), 0.0
-    for _ in range(24):
-        sim.command_joints(joints + rng.uniform(-0.5, 0.5, 12), strength)
-        sim.step_and_track(SUBSTEPS)
-        largest = max(largest, np.abs(sim.joint_states()[2]).max())
-    sim.close()
-    assert largest == pytest.approx(strength * robot.max_torque, rel=1e-9)
-
-
-def test_motors_that_are_too_weak_let_the_robot_down():
-    robot = ROBOTS["aliengo"]
-    sim, joints = placed(robot), standing_angles(robot)
-    for _ in range(48):
-        sim.command_joints(joints, strength=0.05)
-        sim.step_and_track(SUBSTEPS)
-    assert sim.base_state().position[2] < 0.7 * robot.stand_height and sim.foot_contacts().body_touches
-    sim.close()
-
-
 def test_torques_are_held_and_told(robot):
     sim = placed(robot, height=2.0)
     sim.release_joints()
@@ -193,34 +154,6 @@ def test_the_track_goes_on_where_it_was_and_turns_as_the_robot_does():
     assert np.abs(turned).argmax() == 2
     change = track.last.yaw - first.yaw
     assert change == pytest.approx(track.last.angular_velocity[2] * 4 / 240, rel=0.2)
-    sim.close()
-
-
-@pytest.mark.parametrize("name", UNITREE)
-def test_the_ray_caster_sees_what_it_sees_in_bullet(name):
-    bullet, ours = placed(ROBOTS[name], Simulation), placed(ROBOTS[name])
-    seen, expected = ours.solids().shapes(), bullet.solids().shapes()
-    assert len(seen) == len(expected)
-    for shape in seen:
-        near = min(expected, key=lambda other: np.linalg.norm(np.subtract(shape.position, other.position)))
-        assert shape.position == pytest.approx(near.position, abs=1e-4) and shape.kind in (near.kind, "cylinder")
-        if shape.kind == near.kind:
-            assert sorted(shape.size) == pytest.approx(sorted(near.size), abs=1e-3)
-            assert abs(np.dot(shape.orientation, near.orientation)) == pytest.approx(1.0, abs=1e-4) or (
-                shape.kind != "box"
-            )
-    bullet.close(), ours.close()
-
-
-@pytest.mark.parametrize("name", ["laikago", "mini_cheetah"])
-def test_meshes_become_solids_around_them(name):
-    """A box or cylinder for each mesh, none farther from the trunk than a leg, and four round feet."""
-    sim = placed(ROBOTS[name])
-    shapes, base = sim.solids().shapes(), sim.base_state().position
-    feet = [shape for shape in shapes if shape.kind == "sphere"]
-    assert np.array([foot.position for foot in feet]) == pytest.approx(sim.foot_positions(), abs=1e-6) or len(feet) == 4
-    assert len(shapes) == 17
-    assert max(np.linalg.norm(np.subtract(shape.position, base)) for shape in shapes) < 0.7
     sim.close()
 
 
