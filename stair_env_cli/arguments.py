@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stair_env.common.constants import BACKENDS, ENGINES, NETWORK_WIDTHS
+from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS, PHYSICS_ENGINES
 from stair_env.common.files import atomic_path, provenance, write_json
 from stair_env.common.progress import progress_bar
 
@@ -58,11 +58,10 @@ def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int =
 
 
 def add_physics_argument(parser: argparse.ArgumentParser) -> None:
-    """Add `--physics`, which `physics_kwargs` turns into an argument of the environments."""
+    """Add `--physics`, which `physics_kwargs` makes the environments' `engine` (`--engine` is where work is done)."""
     parser.add_argument(
         "--physics",
-        "--engine",
-        choices=ENGINES,
+        choices=PHYSICS_ENGINES,
         help="engine that moves the robot; mujoco needs stair-env[mujoco] (the environment's default: bullet)",
     )
 
@@ -80,7 +79,7 @@ def physics_kwargs(args: argparse.Namespace) -> dict[str, Any]:
     if "engine" in kwargs:
         from stair_env.physics.engines import check_engine
 
-        if check_engine(kwargs["engine"]) == ENGINES[0]:
+        if check_engine(kwargs["engine"]) == PHYSICS_ENGINES[0]:
             kwargs.pop("engine")  # so that results read the same whether the default was named or not
     return kwargs
 

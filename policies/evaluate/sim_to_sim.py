@@ -16,10 +16,10 @@ from policies.evaluate.evaluation import OUTCOMES_KEY
 from policies.evaluate.leaderboard import GAIT, rows_of
 from policies.evaluate.stair_sets import RUNG
 from policies.statistics import sign_test, wilson_interval
-from stair_env.common.constants import ENGINES
+from stair_env.common.constants import PHYSICS_ENGINES
 from stair_env.common.files import write_json
 
-BULLET, MUJOCO = ENGINES
+BULLET, MUJOCO = PHYSICS_ENGINES
 GAIT_NAME = "gait alone"
 CELL_FIELDS = ("direction", "stair", "condition", "riser_height", "tread_depth", "num_steps")
 Row = dict[str, Any]
@@ -89,7 +89,7 @@ def _stairs(cell: Mapping[str, Any]) -> str:
 
 
 def _row(names: Row, pairs: list[tuple[str, str]]) -> Row:
-    counts = {engine: sum(pair[k] == "1" for pair in pairs) for k, engine in enumerate(ENGINES)}
+    counts = {engine: sum(pair[k] == "1" for pair in pairs) for k, engine in enumerate(PHYSICS_ENGINES)}
     row = {**names, "episodes": len(pairs)}
     for engine, successes in counts.items():
         row |= {engine: successes, f"{engine}_ci95": list(wilson_interval(successes, len(pairs)))}

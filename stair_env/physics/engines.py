@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
-from stair_env.common.constants import ENGINES
+from stair_env.common.constants import PHYSICS_ENGINES
 from stair_env.common.importing.extras import MissingExtraError
 from stair_env.common.validation import SpecError, check_choice
 from stair_env.physics.interface import Physics
@@ -18,7 +18,7 @@ def check_engine(engine: str) -> str:
         SpecError: there is none of this name; the message lists the choices.
         MissingExtraError: MuJoCo is not installed; the message says how to get it.
     """
-    check_choice("engine", engine, ENGINES)
+    check_choice("engine", engine, PHYSICS_ENGINES)
     if engine == "mujoco" and importlib.util.find_spec("mujoco") is None:
         raise MissingExtraError("engine='mujoco' needs MuJoCo: pip install 'stair-env[mujoco]'", name="mujoco")
     return engine
@@ -38,7 +38,7 @@ def open_engine(engine: str, robot: RobotSpec, gui: bool = False, visible: bool 
     """Open a world.
 
     Args:
-        engine: a name in ENGINES.
+        engine: a name in PHYSICS_ENGINES.
         robot: which robot.
         gui: open the engine's window instead of running headless.
         visible: load what the engine's own renderers draw.

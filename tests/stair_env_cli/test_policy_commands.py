@@ -102,12 +102,11 @@ def test_a_row_of_ones_own_joins_the_benchmark(tmp_path: Path, capsys: pytest.Ca
     assert (tmp_path / "results" / "benchmark.png").is_file()
 
 
-@pytest.mark.parametrize("option", ["--physics", "--engine"])
-def test_flights_in_mujoco_say_so(option: str, tmp_path: Path) -> None:
+def test_flights_in_mujoco_say_so(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'stair-env[mujoco]'")
     flights = ["--policy", "aliengo", "--source", "oracle", "--stairs", "random", "--direction", "up"]
     limits = ["--episodes", "1", "--workers", "1", "--env-kwargs", '{"max_episode_steps": 3}']
-    assert main(["evaluate", option, "mujoco", *flights, *limits, "--json", str(tmp_path / "out.json")]) == 0
+    assert main(["evaluate", "--physics", "mujoco", *flights, *limits, "--json", str(tmp_path / "out.json")]) == 0
     assert json.loads((tmp_path / "out.json").read_text())["env_kwargs"] == {"max_episode_steps": 3, "engine": "mujoco"}
 
 

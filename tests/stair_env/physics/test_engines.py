@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 import stair_env
 from perception.wrapper import PerceptionWrapper
-from stair_env.common.constants import ENGINES
+from stair_env.common.constants import PHYSICS_ENGINES
 from stair_env.common.importing.extras import MissingExtraError
 from stair_env.common.validation import SpecError
 from stair_env.env import StairClimbEnv
@@ -55,7 +55,7 @@ def test_bullets_renderers_are_refused_where_bullet_does_not_work():
 
 
 def test_the_default_is_bullet():
-    sim = open_engine(ENGINES[0], ROBOTS["a1"], visible=False)
+    sim = open_engine(PHYSICS_ENGINES[0], ROBOTS["a1"], visible=False)
     assert isinstance(sim, Simulation) and sim.client is not None
     sim.close()
     assert check_engine("bullet") == StairClimbEnv().engine == "bullet"
@@ -84,7 +84,7 @@ def test_the_perceived_form_passes_its_check_too():
 @pytest.mark.parametrize("env_id", stair_env.ENV_IDS)
 def test_spaces_do_not_depend_on_the_engine(env_id):
     camera = {} if env_id in CAMERAS else {"camera": SMALL}
-    envs = [gym.make(env_id, engine=engine, **camera) for engine in ENGINES]
+    envs = [gym.make(env_id, engine=engine, **camera) for engine in PHYSICS_ENGINES]
     assert envs[0].observation_space == envs[1].observation_space
     assert envs[0].action_space == envs[1].action_space
     for env in envs:
@@ -116,7 +116,7 @@ def test_a_camera_that_draws_with_bullet_is_refused():
 def test_a_camera_sees_the_same_stairs_in_both_engines():
     """The pose of the standing robot differs by millimetres, and so do the frames."""
     frames = []
-    for engine in ENGINES:
+    for engine in PHYSICS_ENGINES:
         env = gym.make("stair_env/StairClimbRGBD-v0", engine=engine, camera={**SMALL, "depth_error": "ideal"})
         frames.append(env.reset(seed=4)[0]["depth"])
         env.close()
