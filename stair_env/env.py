@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.common.constants import GRAVITY_M_S2, LIGHTING_CHOICES
+from stair_env.common import constants
+from stair_env.common.constants import CONTROL_DT, CONTROL_RATE_HZ, GRAVITY_M_S2, PHYSICS_RATE_HZ, SUBSTEPS
 from stair_env.common.pickling import PicklesByArguments
 from stair_env.common.validation import check_choice, read_action
 from stair_env.observation import StairBlock, proprio_space, stair_space
@@ -17,12 +18,13 @@ from stair_env.onboard.gait import GaitConfig
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.onboard.planner import GaitPlanner, JointActuation, make_planner
 from stair_env.onboard.proprioception import Proprioception
+from stair_env.physics.engines import check_engine, open_engine
+from stair_env.physics.interface import Physics
 from stair_env.physics.motors import Actuator, MotorBody, PdActuator, make_motors
-from stair_env.physics.simulation import CONTROL_DT, CONTROL_RATE_HZ, PHYSICS_RATE_HZ, SUBSTEPS, Simulation
 from stair_env.robots import RobotSpec, get_robot
 from stair_env.scene.shapes import Shape, build_stair_shapes
 from stair_env.scene.spec import Scene, SceneSpec
-from stair_env.sensors.camera.third_person_bullet import Onlooker
+from stair_env.sensors.camera.onlooker import Onlooker
 from stair_env.sensors.imu import ImuConfig, MountedImu
 from stair_env.stairs import StairSpec
 from stair_env.task.curriculum import read_curriculum
@@ -81,12 +83,14 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         sampler: draws staircases or scenes in place of direction, riser_height, tread_depth, num_steps, flight_width
             and uneven: an object with sample(rng), for example a `stair_env.sampling.SceneSampler`.
         privileged: add what only the simulator knows to the observation, for a critic or a teacher.
+        engine: of the physics: "bullet", or "mujoco" (`stair-env[mujoco]`; docs/sim_to_sim.md says how they differ).
 
     Attributes:
         state: the StepState of the last control step or reset.
 
     Raises:
         SpecError: (a ValueError) an argument is wrong; the message names it, its value and the choices.
+        MissingExtraError: the engine is not installed.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(CONTROL_RATE_HZ)}  # noqa: RUF012 (Gymnasium's)
@@ -119,10 +123,11 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         sampler: StairSampler | None = None,
         command: Any = None,
         actuator: str | Mapping[str, Any] | PdActuator | Actuator | Callable[[RobotSpec], Actuator] | None = None,
+        engine: str = "bullet",
     ) -> None:
-        self.robot = get_robot(robot)
+        self.robot, self.engine = get_robot(robot), check_engine(engine)
         self.ranges = StairRanges(direction, riser_height, tread_depth, num_steps, flight_width, uneven)
-        check_choice("lighting", lighting, LIGHTING_CHOICES)
+        check_choice("lighting", lighting, constants.LIGHTING_CHOICES)
         check_choice("spawn", spawn, SPAWNS)
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
@@ -146,7 +151,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         self._observations = read_observations(observations, privileged, self._sensed_spaces(), commanded)
         self.observation_space = self._observations.space
         self._unreported = False  # whether an episode is under way that the curriculum has not heard of
-        self._sim: Simulation | None = None
+        self._sim: Physics | None = None
         self._onlooker: Onlooker | None = None
         self._kinematics = LegKinematics(self.robot)
         self._proprioception = Proprioception(self.robot, PHYSICS_RATE_HZ)
@@ -205,7 +210,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     def _build(self, episode: Episode, shapes: tuple[Shape, ...]) -> None:
         if self._sim is None:
             self._sim = self._open_simulation()
-        self._episode = episode
+        self._episode, self._onlooker = episode, None
         self._sim.build(shapes, episode.body.friction)
         self._sim.set_payload(episode.body.payload_kg)
 
@@ -241,13 +246,18 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
         """Hook for environments with cameras: spaces of what the sensors give."""
         return {"proprio": proprio_space(self.action_size), "stair": stair_space()}
 
-    def _open_simulation(self, visible: bool = False) -> Simulation:
+    def _open_simulation(self, visible: bool = False) -> Physics:
         """Hook for environments whose camera draws with Bullet's renderers (visible) or must load one first."""
-        return Simulation(self.robot, self.render_mode == "human", visible or self.render_mode is not None)
+        visible = visible or self.render_mode is not None
+        return open_engine(self.engine, self.robot, self.render_mode == "human", visible)
 
     def _world_shapes(self, stairs: StairSpec, rng: np.random.Generator) -> tuple[Shape, ...]:
         """Hook for environments with cameras, whose worlds have surroundings."""
         return build_stair_shapes(stairs) if self._given_scene is None else Scene(self._given_scene).shapes
+
+    def _surroundings(self) -> Scene:
+        """Hook for environments with cameras: what stands around the robot, to be drawn."""
+        return Scene(self._given_scene or SceneSpec(self.stairs))
 
     def _begin_sensors(self, rng: np.random.Generator) -> None:
         """Hook for environments with cameras: called once the robot stands."""
@@ -364,7 +374,7 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
     # ------------------------------------------------------------------ looks
 
     @property
-    def simulation(self) -> Simulation | None:
+    def simulation(self) -> Physics | None:
         """The physics, for viewers and tools: policies learn nothing from it. None before the first reset."""
         return self._sim
 
@@ -379,8 +389,8 @@ class StairClimbEnv(gym.Env[dict[str, np.ndarray], np.ndarray], PicklesByArgumen
             self._sim.follow_with_camera(self.state.after.position)
             return None
         if self._onlooker is None:
-            self._onlooker = Onlooker()
-        colour, depth = self._onlooker.look(self._sim.client, self.state.after.position)
+            self._onlooker = Onlooker(self._sim, self._surroundings)
+        colour, depth = self._onlooker.look(self.state.after.position)
         return colour if self.render_mode == "rgb_array" else depth
 
     def close(self) -> None:

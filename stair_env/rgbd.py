@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from stair_env.common.constants import GRAVITY_M_S2
+from stair_env.common.constants import GRAVITY_M_S2, PHYSICS_RATE_HZ, SUBSTEPS
 from stair_env.env import StairClimbEnv
 from stair_env.intrinsics import Intrinsics
 from stair_env.observation import proprio_space
-from stair_env.physics.simulation import PHYSICS_RATE_HZ, SUBSTEPS, Simulation, base_to_world
+from stair_env.physics.body_state import base_to_world
+from stair_env.physics.engines import check_renderer
+from stair_env.physics.interface import Physics
 from stair_env.robots import mount_to_base
 from stair_env.sampling import Scene, SceneSampler
 from stair_env.scene.shapes import Shape
 from stair_env.sensors.camera.renderers import make_renderer
 from stair_env.sensors.camera.renderers.bullet import load_egl
-from stair_env.sensors.camera.renderers.bullet_shapes import BodyShapes
 from stair_env.sensors.camera.sensor import CameraConfig, RgbdCamera, RgbdReading
 from stair_env.sensors.camera.third_person import FollowCamera
 from stair_env.sensors.imu import IMU_POSITION_IN_CAMERA_M, ImuConfig, MountedImu
@@ -49,6 +50,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
         self.camera_config = CameraConfig.from_dict(camera)  # the observation's space depends on it
         self.camera_intrinsics: Intrinsics = self.camera_config.intrinsics
         super().__init__(camera=camera, **kwargs)
+        check_renderer(self.engine, self.camera_config.renderer)
         self._camera: RgbdCamera | None = None
         self._camera_to_base = mount_to_base(self.robot.camera)
         self._scene_sampler = SceneSampler(lighting=self.lighting)  # type: ignore[arg-type]
@@ -63,7 +65,7 @@ class StairClimbRgbdEnv(StairClimbEnv):
             "depth": spaces.Box(0.0, FAR_M, (height, width), np.float32),
         }
 
-    def _open_simulation(self, visible: bool = False) -> Simulation:
+    def _open_simulation(self, visible: bool = False) -> Physics:
         sim = super()._open_simulation(visible or self.camera_config.renderer != "raycast")
         if self.camera_config.renderer == "egl":
             load_egl(sim.client)
@@ -75,11 +77,14 @@ class StairClimbRgbdEnv(StairClimbEnv):
             return super()._world_shapes(stairs, rng)  # walls and furniture out of the way need no bodies
         return self.scene.shapes  # Bullet's renderers draw bodies
 
+    def _surroundings(self) -> Scene:
+        return self.scene
+
     def _begin_sensors(self, rng: np.random.Generator) -> None:
         sim = self._sim
         assert sim is not None
         renderer = make_renderer(self.camera_config.renderer, self.scene, sim.client)
-        self._body_shapes = BodyShapes(sim.client, sim.body)
+        self._body_shapes = sim.solids()
         self._follower: FollowCamera | None = None
         tilt = self.randomization.camera_tilt_rad
         self._tilt = _rotation_about_x(float(rng.uniform(-tilt, tilt)))

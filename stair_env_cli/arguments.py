@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS
+from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS, PHYSICS_ENGINES
 from stair_env.common.files import atomic_path, provenance, write_json
 from stair_env.common.progress import progress_bar
 
@@ -18,12 +18,14 @@ __all__ = [
     "WIDTH_NAMES",
     "add_backend_argument",
     "add_common_arguments",
+    "add_physics_argument",
     "atomic_path",
     "choice_list",
     "json_object",
     "json_path",
     "limit_threads",
     "number_list",
+    "physics_kwargs",
     "positive_int",
     "progress",
     "progress_bar",
@@ -53,6 +55,33 @@ def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int =
     """Add `--seed` and `--json`, which every subcommand has."""
     parser.add_argument("--seed", type=seed_value, default=default_seed, help="seed of every random draw (%(default)s)")
     parser.add_argument("--json", type=json_path, metavar="FILE", help="write machine-readable results to FILE")
+
+
+def add_physics_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--physics`, which `physics_kwargs` makes the environments' `engine` (`--engine` is where work is done)."""
+    parser.add_argument(
+        "--physics",
+        choices=PHYSICS_ENGINES,
+        help="engine that moves the robot; mujoco needs stair-env[mujoco] (the environment's default: bullet)",
+    )
+
+
+def physics_kwargs(args: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of the environments as `--physics` and `--env-kwargs` say; a missing engine is told before the work.
+
+    Raises:
+        ValueError: the two name different engines, or there is no such engine.
+        MissingExtraError: the engine is not installed.
+    """
+    kwargs = dict(args.env_kwargs)
+    if args.physics is not None and kwargs.setdefault("engine", args.physics) != args.physics:
+        raise ValueError(f"--physics {args.physics} and --env-kwargs engine={kwargs['engine']!r} differ")
+    if "engine" in kwargs:
+        from stair_env.physics.engines import check_engine
+
+        if check_engine(kwargs["engine"]) == PHYSICS_ENGINES[0]:
+            kwargs.pop("engine")  # so that results read the same whether the default was named or not
+    return kwargs
 
 
 def seed_value(text: str) -> int:

@@ -10,10 +10,12 @@ from typing import Any
 from stair_env.common.constants import EVALUATION_SOURCES, LIGHTING_CHOICES, STAIR_SETS, WALKING_DIRECTIONS
 from stair_env_cli.arguments import (
     add_common_arguments,
+    add_physics_argument,
     choice_list,
     json_object,
     limit_threads,
     number_list,
+    physics_kwargs,
     positive_int,
     write_json,
 )
@@ -66,6 +68,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environments"
     )
+    add_physics_argument(parser)
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
     parser.add_argument(
         "--figure", type=Path, metavar="FILE", help="draw success over risers and treads, or the ladder, as PNG"
@@ -113,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
         episodes=args.episodes,
         seed=args.seed,
         lighting=args.lighting,
-        env_kwargs=args.env_kwargs,
+        env_kwargs=physics_kwargs(args),
         workers=args.workers,
         **sizes,
     )

@@ -11,7 +11,15 @@ from typing import Any
 from stair_env.common.constants import ALGORITHMS, EPISODE_DIRECTIONS, VEC_KINDS
 from stair_env.common.progress import progress_bar
 from stair_env.common.validation import from_mapping
-from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
+from stair_env_cli.arguments import (
+    add_common_arguments,
+    add_physics_argument,
+    json_object,
+    limit_threads,
+    physics_kwargs,
+    positive_int,
+    write_json,
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -49,6 +57,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environment"
     )
+    add_physics_argument(parser)
     parser.add_argument("--timesteps", type=positive_int, help="environment steps in total (from the YAML file)")
     parser.add_argument("--num-envs", type=positive_int, help="parallel environments (from the YAML file)")
     parser.add_argument(
@@ -166,4 +175,4 @@ def _env_kwargs(args: argparse.Namespace) -> dict[str, Any]:
         env_kwargs["stair_source"] = args.source
     if not args.no_curriculum:
         env_kwargs["curriculum"] = True
-    return {**env_kwargs, **args.env_kwargs}
+    return {**env_kwargs, **physics_kwargs(args)}

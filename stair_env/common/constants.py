@@ -19,6 +19,7 @@ PHYSICS_RATE_HZ = 240
 SUBSTEPS = 5
 CONTROL_DT = SUBSTEPS / PHYSICS_RATE_HZ  # 48 Hz
 CONTROL_RATE_HZ = PHYSICS_RATE_HZ / SUBSTEPS
+PHYSICS_ENGINES = ("bullet", "mujoco")  # of physics
 
 # Staircases.
 RISER_RANGE_M = (0.02, 0.25)  # buildable; real stairs are 0.08-0.20, a curriculum starts lower

@@ -1,4 +1,4 @@
-"""What turns joint targets into motion: Bullet's position motors, or torques at the physics rate as on a robot."""
+"""What turns joint targets into motion: the engine's position motors, or torques at the physics rate as on a robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from stair_env.common.constants import CONTROL_DT
 from stair_env.common.field_kinds import naming_fields
 from stair_env.common.validation import SpecError, check_choice, check_range, from_mapping, has_parts
 from stair_env.physics.body_kernels import pd_torques
-from stair_env.physics.simulation import BaseTrack, Simulation
+from stair_env.physics.body_state import BaseTrack
+from stair_env.physics.interface import Physics
 from stair_env.robots import NUM_JOINTS, RobotSpec, per_joint
 
 ACTUATORS = ("position", "pd")
@@ -148,7 +149,7 @@ class PdMotors:
 class Motors(Protocol):
     """The robot's motors as the environment uses them."""
 
-    def reset(self, sim: Simulation, body: MotorBody, joint_angles: np.ndarray) -> None:
+    def reset(self, sim: Physics, body: MotorBody, joint_angles: np.ndarray) -> None:
         """Begin an episode; the robot has just been put at (12,) joint angles, radians."""
 
     def hold(self, joint_angles: np.ndarray, steps: int) -> None:
@@ -162,9 +163,9 @@ class Motors(Protocol):
 
 
 class PositionMotors:
-    """Bullet's own position motors, a constraint of its solver: stiff, and stable whatever the time step."""
+    """The engine's position motors, a constraint of its solver: stiff, and stable whatever the time step."""
 
-    def reset(self, sim: Simulation, body: MotorBody, joint_angles: np.ndarray) -> None:
+    def reset(self, sim: Physics, body: MotorBody, joint_angles: np.ndarray) -> None:
         """Begin an episode, see `Motors`."""
         self._sim, self._strength = sim, body.strength
 
@@ -193,7 +194,7 @@ class TorqueMotors:
     def __init__(self, actuator: Actuator) -> None:
         self.actuator = actuator
 
-    def reset(self, sim: Simulation, body: MotorBody, joint_angles: np.ndarray) -> None:
+    def reset(self, sim: Physics, body: MotorBody, joint_angles: np.ndarray) -> None:
         """Begin an episode, see `Motors`."""
         self._sim = sim
         sim.release_joints()

@@ -1,4 +1,4 @@
-"""The physics: the one owner of a Bullet client.
+"""The physics in Bullet: the one owner of a Bullet client.
 
 It answers named questions about the robot in canonical terms (see `stair_env.robots`) and hides Bullet's link
 indices, inertial frames and joint conventions.
@@ -29,20 +29,21 @@ from stair_env.physics.body_state import RobotReading as RobotReading
 from stair_env.physics.body_state import base_to_world as base_to_world
 from stair_env.physics.bullet_client import QuietBulletClient
 from stair_env.physics.display import display_problem
+from stair_env.physics.interface import (
+    DEFAULT_COLOUR,
+    LEAST_TRUNK_MASS_KG,
+    LINK_FRICTION,
+    POSITION_GAIN,
+    TOUCH_N,
+    VELOCITY_GAIN,
+    MovingSolids,
+)
+from stair_env.physics.interface import FOOT_FRICTION as FOOT_FRICTION
+from stair_env.physics.interface import SHAPE_COLOURS as SHAPE_COLOURS
 from stair_env.robots import NUM_JOINTS, RobotSpec, find_urdf
 from stair_env.scene.shapes import Shape
 
-# Of Bullet's position motor, with velocities fed forward (docs/climbing.md).
-POSITION_GAINS, VELOCITY_GAINS = [0.03] * NUM_JOINTS, [0.8] * NUM_JOINTS
-FOOT_FRICTION, LINK_FRICTION = 1.0, 0.5  # multiplied with the ground's by Bullet
-SHAPE_COLOURS = {
-    "floor": (0.62, 0.61, 0.58, 1.0),
-    "step": (0.72, 0.69, 0.64, 1.0),
-    "wall": (0.86, 0.85, 0.82, 1.0),
-    "rail": (0.35, 0.36, 0.38, 1.0),
-    "stringer": (0.45, 0.36, 0.28, 1.0),
-}
-DEFAULT_COLOUR = (0.6, 0.55, 0.5, 1.0)
+POSITION_GAINS, VELOCITY_GAINS = [POSITION_GAIN] * NUM_JOINTS, [VELOCITY_GAIN] * NUM_JOINTS
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -188,7 +189,7 @@ class Simulation:
 
     def set_payload(self, kilograms: float) -> None:
         """Add mass to the trunk (negative takes some away)."""
-        self.client.changeDynamics(self.body, -1, mass=max(0.2, self._base_mass + kilograms))
+        self.client.changeDynamics(self.body, -1, mass=max(LEAST_TRUNK_MASS_KG, self._base_mass + kilograms))
 
     def command_joints(self, joint_angles: np.ndarray, strength: float = 1.0) -> None:
         """Set the motors' targets for a control step.
@@ -321,7 +322,7 @@ class Simulation:
         for point in self._contact_points(bodyA=self.body):
             foot = self._foot_of_link.get(point[3])
             if foot is None:
-                body_touches = body_touches or (point[2] != self.body and point[9] > 1.0)
+                body_touches = body_touches or (point[2] != self.body and point[9] > TOUCH_N)
                 continue
             touching[foot] = True
             normal, friction_1, friction_2 = point[7], point[11], point[13]
@@ -330,6 +331,12 @@ class Simulation:
             total[1] += press * normal[1] + slip_1 * friction_1[1] + slip_2 * friction_2[1]
             total[2] += press * normal[2] + slip_1 * friction_1[2] + slip_2 * friction_2[2]
         return FootContacts(np.array(touching), np.array(force), body_touches)
+
+    def solids(self) -> MovingSolids:
+        """The robot's collision shapes, good until the next world is built."""
+        from stair_env.sensors.camera.renderers.bullet_shapes import BodyShapes  # SciPy, which blind workers do without
+
+        return BodyShapes(self.client, self.body)
 
     def follow_with_camera(self, position: np.ndarray, yaw_deg: float = 50.0) -> None:
         """Keep Bullet's window on the robot (GUI only)."""

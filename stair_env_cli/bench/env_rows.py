@@ -67,11 +67,12 @@ def env_step(rounds: int) -> Row:
     import pybullet
 
     from stair_env.env import StairClimbEnv
+    from stair_env.physics.simulation import Simulation
 
     env = StairClimbEnv()
     action = np.zeros(env.action_space.shape or (), np.float32)
     env.reset(seed=0)
-    assert env._sim is not None
+    assert isinstance(env._sim, Simulation)
     recorder = RecordingClient(env._sim.client)
     env._sim.client = recorder
     env.reset(seed=0)

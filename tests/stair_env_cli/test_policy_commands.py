@@ -61,6 +61,8 @@ def test_evaluate_writes_cells_and_overall(
         (["evaluate", "--policy", "no/such/policy"], ["no/such/policy", "model.zip"]),
         (["evaluate", "--source", "gait", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["evaluate", "--policy", "a1", "--robot", "aliengo"], ["robot='aliengo'", "policy 'a1'", "aliengo-blind"]),
+        (["evaluate", "--env-kwargs", '{"engine": "ode"}'], ["engine='ode'", "mujoco"]),
+        (["train", "--physics", "bullet", "--env-kwargs", '{"engine": "mujoco"}'], ["--physics bullet", "mujoco"]),
         (["benchmark", "no_such.json"], ["no_such.json"]),
         (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
@@ -98,3 +100,25 @@ def test_a_row_of_ones_own_joins_the_benchmark(tmp_path: Path, capsys: pytest.Ca
     assert len(rows) == 8 and {row["policy"] for row in rows} == {"zero"}
     assert '| zero {"max_episode_steps": 2} |' in (tmp_path / "results" / "benchmark.md").read_text()
     assert (tmp_path / "results" / "benchmark.png").is_file()
+
+
+def test_flights_in_mujoco_say_so(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'stair-env[mujoco]'")
+    flights = ["--policy", "aliengo", "--source", "oracle", "--stairs", "random", "--direction", "up"]
+    limits = ["--episodes", "1", "--workers", "1", "--env-kwargs", '{"max_episode_steps": 3}']
+    assert main(["evaluate", "--physics", "mujoco", *flights, *limits, "--json", str(tmp_path / "out.json")]) == 0
+    assert json.loads((tmp_path / "out.json").read_text())["env_kwargs"] == {"max_episode_steps": 3, "engine": "mujoco"}
+
+
+def test_the_default_engine_leaves_no_trace(tmp_path: Path) -> None:
+    flights = ["--source", "gait", "--stairs", "random", "--direction", "up", "--episodes", "1", "--workers", "1"]
+    limits = ["--env-kwargs", '{"max_episode_steps": 3}', "--json", str(tmp_path / "out.json")]
+    assert main(["evaluate", "--physics", "bullet", *flights, *limits]) == 0
+    assert json.loads((tmp_path / "out.json").read_text())["env_kwargs"] == {"max_episode_steps": 3}
+
+
+def test_a_policy_learns_in_mujoco(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'stair-env[mujoco]'")
+    options = ["--physics", "mujoco", "--timesteps", "64", "--output", str(tmp_path / "run")]
+    assert main([*TRAIN, *options]) == 0
+    assert json.loads((tmp_path / "run/final/card.json").read_text())["env_kwargs"]["engine"] == "mujoco"

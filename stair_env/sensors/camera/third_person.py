@@ -47,10 +47,15 @@ class FollowCamera:
         Returns:
             uint8 (480, 640, 3).
         """
+        return self.look_with_depth(position, moving)[0]
+
+    def look_with_depth(self, position: np.ndarray, moving: Sequence[Shape]) -> tuple[np.ndarray, np.ndarray]:
+        """Take a picture as `look` does, and with it float32 (480, 640) distance along the view axis, metres."""
         if self._looks % LOOKS_PER_CHECK == 0:
             self._choose_eye(position, moving)
         self._looks += 1
-        return adapt(self._frame(position, moving, self._eye).rgb)
+        frame = self._frame(position, moving, self._eye)
+        return adapt(frame.rgb), frame.depth_m
 
     def _choose_eye(self, position: np.ndarray, moving: Sequence[Shape]) -> None:
         shown = {eye: self._robot_pixels(self._frame(position, moving, eye)) for eye in EYES_M}

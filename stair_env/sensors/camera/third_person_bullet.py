@@ -13,19 +13,26 @@ FIELD_OF_VIEW_DEG = 50.0
 AIM_OFFSET_M = (0.25, 0.0, -0.05)  # a little ahead of the trunk, where it is going
 
 
-class Onlooker:
-    """Looks at the robot from the side, a little from behind and above."""
+class BulletOnlooker:
+    """Looks at the robot from the side, a little from behind and above.
 
-    def look(self, client: Any, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    Args:
+        client: Bullet client.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def look(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take a picture.
 
         Args:
-            client: Bullet client.
             target: (3,) what to look at, world, metres.
 
         Returns:
             uint8 (480, 640, 3) and float32 (480, 640) distance along the view axis, metres.
         """
+        client = self._client
         view = client.computeViewMatrixFromYawPitchRoll(
             cameraTargetPosition=np.add(target, AIM_OFFSET_M).tolist(),
             distance=1.9,
