@@ -6,20 +6,23 @@ import argparse
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
 from typing import Any, TypeVar
 
 from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS
 from stair_env.common.files import atomic_path, provenance, write_json
 from stair_env.common.progress import progress_bar
+from stair_env.common.tasks import ENGINES, Engine
 
 __all__ = [
     "WIDTH_NAMES",
     "add_backend_argument",
     "add_common_arguments",
+    "add_engine_arguments",
     "atomic_path",
     "choice_list",
+    "chosen_engine",
     "json_object",
     "json_path",
     "limit_threads",
@@ -53,6 +56,26 @@ def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int =
     """Add `--seed` and `--json`, which every subcommand has."""
     parser.add_argument("--seed", type=seed_value, default=default_seed, help="seed of every random draw (%(default)s)")
     parser.add_argument("--json", type=json_path, metavar="FILE", help="write machine-readable results to FILE")
+
+
+def add_engine_arguments(parser: argparse.ArgumentParser, engines: Sequence[str] = ENGINES) -> None:
+    """Add `--engine` and `--ray-address`."""
+    parser.add_argument(
+        "--engine",
+        choices=engines,
+        default="local",
+        help="what spreads the work; Ray needs stair-env[ray] and brings the same results (%(default)s)",
+    )
+    parser.add_argument(
+        "--ray-address",
+        metavar="HOST:PORT",
+        help="of a running Ray cluster (one is started here, with --workers cores)",
+    )
+
+
+def chosen_engine(args: argparse.Namespace) -> Engine:
+    """What `--engine`, `--workers` and `--ray-address` say."""
+    return Engine(args.engine, args.workers, args.ray_address)
 
 
 def seed_value(text: str) -> int:

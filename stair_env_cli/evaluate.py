@@ -10,6 +10,7 @@ from typing import Any
 from stair_env.common.constants import EVALUATION_SOURCES, LIGHTING_CHOICES, STAIR_SETS, WALKING_DIRECTIONS
 from stair_env_cli.arguments import (
     add_common_arguments,
+    add_engine_arguments,
     choice_list,
     json_object,
     limit_threads,
@@ -67,6 +68,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--env-kwargs", type=json_object, default={}, metavar="JSON", help="further arguments of the environments"
     )
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
+    add_engine_arguments(parser)
     parser.add_argument(
         "--figure", type=Path, metavar="FILE", help="draw success over risers and treads, or the ladder, as PNG"
     )
@@ -115,6 +117,8 @@ def run(args: argparse.Namespace) -> int:
         lighting=args.lighting,
         env_kwargs=args.env_kwargs,
         workers=args.workers,
+        engine=args.engine,
+        ray_address=args.ray_address,
         **sizes,
     )
     _check_policies(config)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 
+from policies import pretrained
 from policies.evaluate.episode_log import Key
+from policies.evaluate.packed_policy import PackedPolicy, pack, unpack
 from policies.make_env import make_env
 from policies.rollout import CONTROLS, Episode, Predictor, ZeroAction, run_episode
+from stair_env.common.tasks import LOCAL, Engine, run_tasks
 
 
 @dataclass(frozen=True)
@@ -34,30 +34,34 @@ class Job:
         return self.source, self.policy, self.cell_index, seed
 
 
-def run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Episode]]]:
-    """Results as they come, from this process or from workers that start without its threads."""
-    if workers == 1 or not jobs:
+def run_jobs(jobs: Sequence[Job], engine: Engine = LOCAL) -> Iterator[tuple[Job, list[Episode]]]:
+    """Results as they come, from this process or from workers that start without its threads.
+
+    Policies travel with the jobs, so that other machines need no such file.
+    """
+    if engine.in_this_process or not jobs:
         with contextlib.closing(Worker()) as worker:
             for job in jobs:
                 yield job, worker.run(job)
         return
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # read by the workers' libraries at load
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context) as pool:
-        pending = {pool.submit(_run_in_worker, job): job for job in jobs}
-        try:
-            for done in as_completed(pending):
-                yield pending[done], done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    yield from run_tasks(_run_in_worker, jobs, engine, shared=_pack_policies(jobs))
+
+
+def _pack_policies(jobs: Sequence[Job]) -> dict[str, PackedPolicy]:
+    """Files of every policy that jobs name."""
+    names = dict.fromkeys(job.policy for job in jobs if job.policy is not None and job.policy not in CONTROLS)
+    return {name: pack(name) for name in names}
 
 
 class Worker:
-    """Keeps the environment and the policies between jobs."""
+    """Keeps the environment and the policies between jobs.
 
-    def __init__(self) -> None:
+    Args:
+        packed: policies by name; others are read from their files.
+    """
+
+    def __init__(self, packed: Mapping[str, PackedPolicy] | None = None) -> None:
+        self._packed = dict(packed or {})
         self._key: Any = None
         self._env: gym.Env | None = None
         self._policies: dict[str, Predictor] = {}
@@ -84,10 +88,9 @@ class Worker:
             return ZeroAction(env.action_space)
         if name in CONTROLS:
             return CONTROLS[name](env.action_space)
-        from policies import pretrained
-
         if name not in self._policies:
-            self._policies[name] = pretrained.load(name, env)
+            packed = self._packed.get(name)
+            self._policies[name] = pretrained.load(name, env) if packed is None else unpack(packed, env)
         return self._policies[name]
 
     def close(self) -> None:
@@ -97,14 +100,18 @@ class Worker:
         self._env = self._key = None
 
 
-_WORKER: list[Worker] = []  # one in each worker process
+_WORKER: list[tuple[tuple[str, ...], Worker]] = []  # one in each worker process, and whose policies it has
 
 
-def _run_in_worker(job: Job) -> list[Episode]:
-    if not _WORKER:
+def _run_in_worker(job: Job, packed: Mapping[str, PackedPolicy]) -> list[Episode]:
+    """Fly a job in a process that may have flown others, and on a Ray cluster for another evaluation."""
+    wanted = tuple(sorted(policy.digest for policy in packed.values()))
+    if not _WORKER or _WORKER[0][0] != wanted:
         _limit_torch()
-        _WORKER.append(Worker())
-    return _WORKER[0].run(job)
+        for _, old in _WORKER:
+            old.close()
+        _WORKER[:] = [(wanted, Worker(packed))]
+    return _WORKER[0][1].run(job)
 
 
 def _limit_torch() -> None:

@@ -22,6 +22,7 @@ DISTRIBUTIONS = {
     "psutil": "psutil",
     "minari": "'minari[hdf5,create]'",
     "wandb": "wandb",
+    "ray": "'ray[rllib]'",
 }
 
 
