@@ -85,6 +85,20 @@ def test_wrong_options_name_the_choices(arguments: list[str], capsys: pytest.Cap
     assert stop.value.code == 2 and capsys.readouterr().err
 
 
+def test_a_line_is_checked_and_then_joins_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = Path(__file__).parents[2] / "results"
+    table = json.loads((results / "benchmark.json").read_text())
+    (tmp_path / "benchmark.json").write_text(json.dumps(table))
+    submit = ["benchmark", "submit", f"mine={results / 'evaluate_ladder_a1.json'}", "--output", str(tmp_path)]
+    assert main(submit) == 0
+    assert "no fault found" in capsys.readouterr().out
+    assert json.loads((tmp_path / "benchmark.json").read_text()) == table  # nothing is written unless asked for
+    assert main([*submit, "--write"]) == 0
+    assert "| mine | oracle |" in (tmp_path / "benchmark.md").read_text()
+    assert main(submit) == 2  # the name is taken now
+    assert "policy: 'mine' is taken" in capsys.readouterr().err
+
+
 def test_a_row_of_ones_own_joins_the_benchmark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The gait alone for two control steps a flight: what counts is that the table takes it."""
     own = tmp_path / "own.json"
