@@ -20,9 +20,11 @@ __all__ = [
     "add_backend_argument",
     "add_common_arguments",
     "add_engine_arguments",
+    "add_network_server_argument",
     "atomic_path",
     "choice_list",
     "chosen_engine",
+    "count_list",
     "json_object",
     "json_path",
     "limit_threads",
@@ -73,6 +75,15 @@ def add_engine_arguments(parser: argparse.ArgumentParser, engines: Sequence[str]
     )
 
 
+def add_network_server_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--network-server`."""
+    parser.add_argument(
+        "--network-server",
+        action="store_true",
+        help="with Ray: one network for all cameras, on a graphics card where the cluster has one (each its own)",
+    )
+
+
 def chosen_engine(args: argparse.Namespace) -> Engine:
     """What `--engine`, `--workers` and `--ray-address` say."""
     return Engine(args.engine, args.workers, args.ray_address)
@@ -115,6 +126,11 @@ def _number(text: str) -> float:
 def seed_list(text: str) -> tuple[int, ...]:
     """Parse comma-separated seeds; repeats are dropped."""
     return tuple(dict.fromkeys(seed_value(item) for item in text.split(",")))
+
+
+def count_list(text: str) -> tuple[int, ...]:
+    """Parse comma-separated whole numbers >= 1; repeats are dropped."""
+    return tuple(dict.fromkeys(positive_int(item) for item in text.split(",")))
 
 
 def number_list(text: str) -> tuple[float, ...]:

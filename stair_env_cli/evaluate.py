@@ -11,6 +11,7 @@ from stair_env.common.constants import EVALUATION_SOURCES, LIGHTING_CHOICES, STA
 from stair_env_cli.arguments import (
     add_common_arguments,
     add_engine_arguments,
+    add_network_server_argument,
     choice_list,
     json_object,
     limit_threads,
@@ -69,6 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
     add_engine_arguments(parser)
+    add_network_server_argument(parser)
     parser.add_argument(
         "--figure", type=Path, metavar="FILE", help="draw success over risers and treads, or the ladder, as PNG"
     )
@@ -119,6 +121,7 @@ def run(args: argparse.Namespace) -> int:
         workers=args.workers,
         engine=args.engine,
         ray_address=args.ray_address,
+        network_server=args.network_server,
         **sizes,
     )
     _check_policies(config)

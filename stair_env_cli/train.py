@@ -5,13 +5,23 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import os
 from pathlib import Path
 from typing import Any
 
 from stair_env.common.constants import ALGORITHMS, EPISODE_DIRECTIONS, VEC_KINDS
 from stair_env.common.progress import progress_bar
 from stair_env.common.validation import from_mapping
-from stair_env_cli.arguments import add_common_arguments, json_object, limit_threads, positive_int, write_json
+from stair_env_cli.arguments import (
+    add_common_arguments,
+    add_engine_arguments,
+    json_object,
+    limit_threads,
+    positive_int,
+    write_json,
+)
+
+ONLY_LOCAL = ("start_from", "tensorboard", "wandb", "rerun")  # options that RLlib's runs do not have
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -72,6 +82,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="with each checkpoint fly the policy up and down, into recordings for the Rerun viewer in flights/",
     )
+    add_engine_arguments(parser, ("local", "rllib"))
+    parser.add_argument(
+        "--workers", type=positive_int, default=os.cpu_count() or 1, help="environment runners of rllib (%(default)s)"
+    )
     parser.add_argument("--torch-threads", type=positive_int, default=1, help="threads of the updates (%(default)s)")
     add_common_arguments(parser)
 
@@ -82,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
     from policies.train import training
 
     if args.teacher:
+        if args.engine != "local":
+            raise ValueError(f"--teacher is for --engine local, not {args.engine}")
         return _imitate(args)
     started = (args.output / training.CONFIG_FILE).exists()
     if args.resume and started:
@@ -91,18 +107,30 @@ def run(args: argparse.Namespace) -> int:
         print(f"resuming the run in {args.output} as its {training.CONFIG_FILE} says")
     else:
         config = _config(args)
-    start_from = None
-    if args.start_from:
-        from policies.pretrained import locate
+    if config.engine == "rllib":
+        card = _train_with_rllib(args, config)
+    else:
+        start_from = None
+        if args.start_from:
+            from policies.pretrained import locate
 
-        start_from = locate(args.start_from)
-    card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
+            start_from = locate(args.start_from)
+        card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
     if args.json:
         write_json(args.json, card, seed=config.seed)
     rate = card["training"].get("success_rate")
     climbed = f", {rate:.0%} of the last episodes climbed" if isinstance(rate, float) else ""
     print(f"{card['timesteps']} steps{climbed}; policy in {args.output / training.FINAL_FOLDER}")
     return 0
+
+
+def _train_with_rllib(args: argparse.Namespace, config: Any) -> dict[str, Any]:
+    unknown = [name for name in ONLY_LOCAL if getattr(args, name)]
+    if unknown:
+        raise ValueError(f"--{unknown[0].replace('_', '-')} is for --engine local, not rllib")
+    from policies.train.rllib.rllib_training import train
+
+    return train(config, args.output, resume=args.resume, show_progress=True)
 
 
 def _imitate(args: argparse.Namespace) -> int:
@@ -153,6 +181,9 @@ def _config(args: argparse.Namespace) -> Any:
         wandb=args.wandb,
         torch_threads=args.torch_threads,
         rerun=args.rerun,
+        engine=args.engine,
+        workers=args.workers,
+        ray_address=args.ray_address,
     )
 
 

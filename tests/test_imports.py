@@ -68,7 +68,7 @@ FLOW = (
     "policies.rollout policies.make_env",
     "policies.report",
     "policies.train",
-    "policies.train.imitation",
+    "policies.train.imitation policies.train.rllib",
     "policies.pretrained",
     "policies.export_actor",
     "policies.evaluate policies.watch",

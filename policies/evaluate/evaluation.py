@@ -80,6 +80,7 @@ class EvaluationConfig:
         workers: processes; 1 runs in this one.
         engine: "local" or "ray", which brings the same episodes (`stair_env.common.tasks`).
         ray_address: of a running Ray cluster; None starts one on this machine.
+        network_server: with Ray, perceived environments share one network, on a graphics card where there is one.
 
     Raises:
         ValueError: a wrong value; the message names argument, value and choices.
@@ -100,6 +101,7 @@ class EvaluationConfig:
     workers: int = 1
     engine: str = "local"
     ray_address: str | None = None
+    network_server: bool = False
 
     def __post_init__(self) -> None:
         if not self.sources:
@@ -109,6 +111,8 @@ class EvaluationConfig:
         if self.episodes < 1:
             raise ValueError(f"episodes={self.episodes!r} must be >= 1")
         self.runs_on()
+        if self.network_server and self.engine != "ray":
+            raise ValueError(f"network_server=True is for engine='ray', not {self.engine!r}")
         robot = pretrained.fitting_robot(self.robot, (self.policy, self.blind_policy))
         object.__setattr__(self, "robot", robot)
         self.cells()
@@ -163,7 +167,7 @@ def run_all(
     ]
     if on_done and len(left) < len(jobs):
         on_done(sum(len(job.seeds) for job in jobs) - sum(len(job.seeds) for job in left))
-    for job, episodes in run_jobs(left, config.runs_on()):
+    for job, episodes in run_jobs(left, config.runs_on(), config.network_server):
         found.update((job.key(episode.seed), episode) for episode in episodes)
         if log:
             log.add(job.source, job.policy, job.cell_index, episodes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium as gym
@@ -12,7 +12,7 @@ import gymnasium as gym
 from policies import pretrained
 from policies.evaluate.episode_log import Key
 from policies.evaluate.packed_policy import PackedPolicy, pack, unpack
-from policies.make_env import make_env
+from policies.make_env import PERCEPTION_ID, make_env
 from policies.rollout import CONTROLS, Episode, Predictor, ZeroAction, run_episode
 from stair_env.common.tasks import LOCAL, Engine, run_tasks
 
@@ -34,17 +34,51 @@ class Job:
         return self.source, self.policy, self.cell_index, seed
 
 
-def run_jobs(jobs: Sequence[Job], engine: Engine = LOCAL) -> Iterator[tuple[Job, list[Episode]]]:
+@dataclass(frozen=True)
+class Luggage:
+    """What workers bring along to fly jobs.
+
+    Attributes:
+        policies: by name; others are read from their files.
+        detector: that all perceived environments share; None gives each its own network.
+    """
+
+    policies: Mapping[str, PackedPolicy] = field(default_factory=dict)
+    detector: Any = None
+
+    @property
+    def digest(self) -> str:
+        """Equal for equal luggage."""
+        return repr((sorted(policy.digest for policy in self.policies.values()), self.detector))
+
+
+def run_jobs(
+    jobs: Sequence[Job], engine: Engine = LOCAL, network_server: bool = False
+) -> Iterator[tuple[Job, list[Episode]]]:
     """Results as they come, from this process or from workers that start without its threads.
 
     Policies travel with the jobs, so that other machines need no such file.
+
+    Args:
+        jobs: what to fly.
+        engine: where.
+        network_server: with Ray, one network for all perceived environments (`perception.inference.frame_server`).
     """
     if engine.in_this_process or not jobs:
         with contextlib.closing(Worker()) as worker:
             for job in jobs:
                 yield job, worker.run(job)
         return
-    yield from run_tasks(_run_in_worker, jobs, engine, shared=_pack_policies(jobs))
+    with contextlib.ExitStack() as opened:
+        detector = None
+        if network_server:
+            from perception.inference.frame_server import start_frame_server
+            from stair_env.common.tasks.ray_pool import ray_session
+
+            opened.enter_context(ray_session(engine))
+            detector = start_frame_server()
+        luggage = Luggage(_pack_policies(jobs), detector)
+        yield from run_tasks(_run_in_worker, jobs, engine, shared=luggage)
 
 
 def _pack_policies(jobs: Sequence[Job]) -> dict[str, PackedPolicy]:
@@ -57,11 +91,11 @@ class Worker:
     """Keeps the environment and the policies between jobs.
 
     Args:
-        packed: policies by name; others are read from their files.
+        luggage: what it does not find here.
     """
 
-    def __init__(self, packed: Mapping[str, PackedPolicy] | None = None) -> None:
-        self._packed = dict(packed or {})
+    def __init__(self, luggage: Luggage | None = None) -> None:
+        self._luggage = luggage or Luggage()
         self._key: Any = None
         self._env: gym.Env | None = None
         self._policies: dict[str, Predictor] = {}
@@ -80,8 +114,15 @@ class Worker:
         key = (job.env_id, repr(sorted(job.env_kwargs.items())))
         if key != self._key or self._env is None:
             self.close()
-            self._env, self._key = make_env(job.env_id, job.env_kwargs, monitor=False), key
+            self._env, self._key = make_env(job.env_id, self._env_kwargs(job), monitor=False), key
         return self._env
+
+    def _env_kwargs(self, job: Job) -> dict[str, Any]:
+        """A job's, with the shared network where there is one."""
+        if self._luggage.detector is None or job.env_id != PERCEPTION_ID:
+            return job.env_kwargs
+        estimator = {**job.env_kwargs.get("estimator", {}), "detector": self._luggage.detector}
+        return {**job.env_kwargs, "estimator": estimator}
 
     def _policy(self, name: str | None, env: gym.Env) -> Predictor:
         if name is None:
@@ -89,7 +130,7 @@ class Worker:
         if name in CONTROLS:
             return CONTROLS[name](env.action_space)
         if name not in self._policies:
-            packed = self._packed.get(name)
+            packed = self._luggage.policies.get(name)
             self._policies[name] = pretrained.load(name, env) if packed is None else unpack(packed, env)
         return self._policies[name]
 
@@ -100,17 +141,16 @@ class Worker:
         self._env = self._key = None
 
 
-_WORKER: list[tuple[tuple[str, ...], Worker]] = []  # one in each worker process, and whose policies it has
+_WORKER: list[tuple[str, Worker]] = []  # one in each worker process, and which luggage it has
 
 
-def _run_in_worker(job: Job, packed: Mapping[str, PackedPolicy]) -> list[Episode]:
+def _run_in_worker(job: Job, luggage: Luggage) -> list[Episode]:
     """Fly a job in a process that may have flown others, and on a Ray cluster for another evaluation."""
-    wanted = tuple(sorted(policy.digest for policy in packed.values()))
-    if not _WORKER or _WORKER[0][0] != wanted:
+    if not _WORKER or _WORKER[0][0] != luggage.digest:
         _limit_torch()
         for _, old in _WORKER:
             old.close()
-        _WORKER[:] = [(wanted, Worker(packed))]
+        _WORKER[:] = [(luggage.digest, Worker(luggage))]
     return _WORKER[0][1].run(job)
 
 

@@ -26,6 +26,7 @@ from policies.train.curves import CURVE_FILE
 from policies.train.described import described, described_objects
 from policies.train.wandb_run import wandb_run
 from stair_env.common.files import provenance, write_json
+from stair_env.common.validation import check_choice
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"
 FLIGHT_FOLDER = "flights"
 # Keys of the YAML file that others read.
-NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback", "env_kwargs")
+RLLIB_KEY = "rllib"  # settings of RLlib alone
+NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback", "env_kwargs", RLLIB_KEY)
+TRAINING_ENGINES = ("local", "rllib")
 HIDING_POLICIES = ("StairActorCriticPolicy", "StairSacPolicy", "StairTd3Policy", "StairTqcPolicy")
 DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
 
@@ -66,6 +69,9 @@ class TrainingConfig:
             on this machine.
         torch_threads: threads of the network's updates.
         rerun: with each checkpoint fly the policy, and write a recording for the Rerun viewer.
+        engine: "local" (Stable-Baselines3, here) or "rllib" (`policies.train.rllib`).
+        workers: environment runners of RLlib.
+        ray_address: of a running Ray cluster; None starts one on this machine.
 
     Raises:
         ValueError: a value is out of range.
@@ -85,11 +91,15 @@ class TrainingConfig:
     wandb: str | None = None
     torch_threads: int = 1
     rerun: bool = False
+    engine: str = "local"
+    workers: int = 1
+    ray_address: str | None = None
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {', '.join(ALGORITHMS)}")
-        for name in ("total_timesteps", "num_envs", "checkpoint_every", "torch_threads"):
+        check_choice("engine", self.engine, TRAINING_ENGINES)
+        for name in ("total_timesteps", "num_envs", "checkpoint_every", "torch_threads", "workers"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value!r} must be >= 1")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
@@ -21,7 +23,9 @@ RETRIES = 8  # of a task whose worker is lost; one that takes its workers down i
 AHEAD = 4  # tasks a core that are handed out
 LEAST_AHEAD = 64  # so that a cluster which grows with its work sees that there is more
 LOOK_EVERY_S = 5.0  # at how many cores the cluster has
+KNOCK_S = 10.0  # that a cluster has to answer
 STORE_BYTES = 200_000_000  # for results on their way, of a cluster that is started here
+NICENESS = "RAY_worker_niceness"  # Ray's own default, 15, leaves workers what everything else on the machine leaves
 ENVIRONMENT = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}  # of every worker
 
 
@@ -39,8 +43,11 @@ def ray_session(engine: Engine) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+    if engine.address is not None:
+        _knock(engine.address)
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if engine.address is None:
+        os.environ.setdefault(NICENESS, "0")  # read by the processes that start now
         quiet |= {"num_cpus": engine.workers, "object_store_memory": STORE_BYTES, "include_dashboard": False}
     try:
         ray.init(address=engine.address or "local", **quiet)
@@ -51,6 +58,21 @@ def ray_session(engine: Engine) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Find out in seconds what Ray finds out in minutes: that nobody listens at an address.
+
+    Raises:
+        EngineError: nobody does.
+    """
+    host, _, port = address.rpartition("://")[2].partition("?")[0].rpartition(":")
+    if not port.isdigit():
+        return  # "auto", or a name that Ray resolves itself
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=KNOCK_S).close()
+    except OSError as error:
+        raise EngineError(f"no Ray cluster at ray_address={address!r}: {error}") from error
 
 
 def run_on_ray(
