@@ -60,14 +60,14 @@ def add_common_arguments(parser: argparse.ArgumentParser, *, default_seed: int =
     parser.add_argument("--json", type=json_path, metavar="FILE", help="write machine-readable results to FILE")
 
 
-def add_engine_arguments(parser: argparse.ArgumentParser, engines: Sequence[str] = ENGINES) -> None:
+SAME_RESULTS = "what spreads the work; Ray needs stair-env[ray] and brings the same results (%(default)s)"
+
+
+def add_engine_arguments(
+    parser: argparse.ArgumentParser, engines: Sequence[str] = ENGINES, text: str = SAME_RESULTS
+) -> None:
     """Add `--engine` and `--ray-address`."""
-    parser.add_argument(
-        "--engine",
-        choices=engines,
-        default="local",
-        help="what spreads the work; Ray needs stair-env[ray] and brings the same results (%(default)s)",
-    )
+    parser.add_argument("--engine", choices=engines, default="local", help=text)
     parser.add_argument(
         "--ray-address",
         metavar="HOST:PORT",

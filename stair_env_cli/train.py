@@ -15,6 +15,7 @@ from stair_env.common.validation import from_mapping
 from stair_env_cli.arguments import (
     add_common_arguments,
     add_engine_arguments,
+    add_network_server_argument,
     json_object,
     limit_threads,
     positive_int,
@@ -28,7 +29,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Declare the options."""
     parser = subparsers.add_parser(
         "train",
-        help="train a policy with Stable-Baselines3",
+        help="train a policy with Stable-Baselines3 or RLlib",
         description="Train a policy; checkpoints are written while it runs, and --resume goes on after a kill.",
     )
     parser.add_argument("--output", type=Path, default=Path("runs/train"), help="folder of the run (%(default)s)")
@@ -82,7 +83,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="with each checkpoint fly the policy up and down, into recordings for the Rerun viewer in flights/",
     )
-    add_engine_arguments(parser, ("local", "rllib"))
+    text = "Stable-Baselines3 here, or RLlib over a Ray cluster, which needs stair-env[ray] (%(default)s)"
+    add_engine_arguments(parser, ("local", "rllib"), text)
+    add_network_server_argument(parser)
     parser.add_argument(
         "--workers", type=positive_int, default=os.cpu_count() or 1, help="environment runners of rllib (%(default)s)"
     )
@@ -184,6 +187,7 @@ def _config(args: argparse.Namespace) -> Any:
         engine=args.engine,
         workers=args.workers,
         ray_address=args.ray_address,
+        network_server=args.network_server,
     )
 
 

@@ -31,7 +31,7 @@ class FrameQueue:
     def __init__(self, backend: Backend, max_batch: int = MAX_BATCH) -> None:
         self._backend, self._max_batch = backend, max_batch
         self._waiting: list[tuple[np.ndarray, np.ndarray, asyncio.Future[Any]]] = []
-        self._busy = False
+        self._running: asyncio.Task[None] | None = None
         self.batches: list[int] = []  # sizes of the latest
 
     async def run(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -46,12 +46,8 @@ class FrameQueue:
         """
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._waiting.append((rgb, depth_m, answer))
-        if not self._busy:
-            self._busy = True
-            try:
-                await self._drain()
-            finally:
-                self._busy = False
+        if self._running is None or self._running.done():
+            self._running = asyncio.ensure_future(self._drain())
         return await answer
 
     async def _drain(self) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from policies.hyperparams import ALGORITHMS, load_hyperparams
-from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_vec_env, normalise
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
 from policies.train.described import described, described_objects
@@ -72,6 +72,7 @@ class TrainingConfig:
         engine: "local" (Stable-Baselines3, here) or "rllib" (`policies.train.rllib`).
         workers: environment runners of RLlib.
         ray_address: of a running Ray cluster; None starts one on this machine.
+        network_server: with RLlib, the cameras of all environments ask one network.
 
     Raises:
         ValueError: a value is out of range.
@@ -94,6 +95,7 @@ class TrainingConfig:
     engine: str = "local"
     workers: int = 1
     ray_address: str | None = None
+    network_server: bool = False
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
@@ -103,6 +105,11 @@ class TrainingConfig:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value!r} must be >= 1")
+
+        if self.network_server and (self.engine, self.env_id) != ("rllib", PERCEPTION_ID):
+            raise ValueError(f"network_server=True is for engine='rllib' and {PERCEPTION_ID}")
+        if self.ray_address is not None and self.engine != "rllib":
+            raise ValueError(f"ray_address={self.ray_address!r} is for engine='rllib', not {self.engine!r}")
 
     def resolved_hyperparams(self) -> dict[str, Any]:
         """The YAML file's values with this configuration's on top."""

@@ -62,6 +62,15 @@ def test_evaluate_writes_cells_and_overall(
         (["evaluate", "--source", "gait", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["evaluate", "--policy", "a1", "--robot", "aliengo"], ["robot='aliengo'", "policy 'a1'", "aliengo-blind"]),
         (["benchmark", "no_such.json"], ["no_such.json"]),
+        (["benchmark", "submit", "no_such.json"], ["no_such.json"]),
+        (["benchmark", "submit"], ["submit [NAME=]FILE"]),
+        (["benchmark", "--write", "no_such.json"], ["--write", "submit"]),
+        (["evaluate", "--source", "gait", "--ray-address", "auto"], ["ray_address='auto'", "engine='ray'"]),
+        (["evaluate", "--source", "gait", "--network-server"], ["network_server", "engine='ray'"]),
+        (["bench", "--engine", "ray"], ["--engine ray", "--scale"]),
+        (["train", "--engine", "rllib", "--rerun"], ["--rerun", "--engine local"]),
+        (["train", "--engine", "rllib", "--teacher", "gait"], ["--teacher", "--engine local"]),
+        (["train", "--ray-address", "auto"], ["ray_address='auto'", "engine='rllib'"]),
         (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
         (["train", "--hyperparams", "no_such.yml"], ["no_such.yml"]),
@@ -72,7 +81,7 @@ def test_evaluate_writes_cells_and_overall(
 def test_bad_input_is_one_clear_line(
     arguments: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output = [] if arguments[0] in ("evaluate", "benchmark") else ["--output", str(tmp_path / "run")]
+    output = [] if arguments[0] in ("evaluate", "benchmark", "bench") else ["--output", str(tmp_path / "run")]
     assert main([*arguments, *output]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("stair-env")]
     assert len(lines) == 1 and all(word in lines[0] for word in words)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import logging
 import os
 import shutil
 import time
@@ -70,7 +71,8 @@ def train(
         raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
     saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
     with contextlib.ExitStack() as opened:
-        opened.enter_context(ray_session(Engine("ray", config.workers, config.ray_address)))
+        cores = config.workers + 1  # and one for a learner of its own, which `rllib:` may ask for
+        opened.enter_context(ray_session(Engine("ray", cores, config.ray_address)))
         run = _Training(config, folder)
         opened.callback(run.algorithm.stop)
         write_json(folder / CONFIG_FILE, config.to_dict(), seed=config.seed)  # only now: wrong arguments leave no run
@@ -84,20 +86,20 @@ class _Training:
     def __init__(self, config: TrainingConfig, folder: Path) -> None:
         from ray.tune.registry import register_env
 
+        logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # it greets with advice to its older users
         self.config, self.folder = config, folder
         self.hyperparams = config.resolved_hyperparams()
         self.total, self.steps = int(self.hyperparams["n_timesteps"]), 0
         gamma = float(self.hyperparams.get("gamma", DEFAULT_GAMMA))
-        maker = runners.ReportingEnv(config.env_id, config.resolved_env_kwargs(), (), gamma, False)
+        env_kwargs = _with_shared_network(config)
+        maker = runners.ReportingEnv(config.env_id, env_kwargs, (), gamma, False)
         with contextlib.closing(maker()) as probe:
             space: Any = probe.observation_space
             self.spaces: tuple[gym.Space, gym.Space] = space, probe.action_space
             curriculum = getattr(probe.unwrapped, "curriculum", None)
         normalised = translation.normalisation(self.hyperparams, space)
         keys = normalised["norm_obs_keys"]
-        self._maker = runners.ReportingEnv(
-            config.env_id, config.resolved_env_kwargs(), tuple(keys), gamma, normalised["norm_reward"]
-        )
+        self._maker = runners.ReportingEnv(config.env_id, env_kwargs, tuple(keys), gamma, normalised["norm_reward"])
         settings = translation.translate(
             config.algorithm, self.hyperparams, space=space, workers=config.workers, seed=config.seed
         )
@@ -199,6 +201,16 @@ class _Training:
         }
         write_json(final / CARD_FILE, card, seed=self.config.seed)
         return card
+
+
+def _with_shared_network(config: TrainingConfig) -> dict[str, Any]:
+    """Arguments of the environments; where it is wanted their cameras ask one network."""
+    env_kwargs = config.resolved_env_kwargs()
+    if not config.network_server:
+        return env_kwargs
+    from perception.inference.frame_server import start_frame_server
+
+    return {**env_kwargs, "estimator": {**env_kwargs.get("estimator", {}), "detector": start_frame_server()}}
 
 
 class _Curve:

@@ -11,6 +11,7 @@ import numpy as np
 
 from policies.make_env import normalise
 from policies.train import checkpoints
+from policies.train.rllib import translation
 from policies.train.rllib.run_state import Moments, RunState
 from policies.train.training import DEFAULT_GAMMA, RLLIB_KEY, TrainingConfig, build_model
 
@@ -41,6 +42,8 @@ def save_policy(
 
     hyperparams = {**config.resolved_hyperparams(), "n_envs": 1}
     hyperparams.pop(RLLIB_KEY, None)
+    hyperparams["policy"] = f"policies.features.{translation.POLICIES[config.algorithm]}"
+    hyperparams["policy_kwargs"] = translation.network(config.algorithm, hyperparams)
     if config.algorithm == "sac":
         hyperparams["buffer_size"] = 1
     venv: Any = DummyVecEnv([lambda: OnlySpaces(*spaces)])

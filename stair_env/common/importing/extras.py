@@ -22,7 +22,7 @@ DISTRIBUTIONS = {
     "psutil": "psutil",
     "minari": "'minari[hdf5,create]'",
     "wandb": "wandb",
-    "ray": "'ray[rllib]'",
+    "ray": "'stair-env[ray]'",
 }
 
 

