@@ -56,7 +56,7 @@ class FrameQueue:
         while self._waiting:
             batch, self._waiting = self._waiting[: self._max_batch], self._waiting[self._max_batch :]
             self.batches = [*self.batches[-99:], len(batch)]
-            rgb, depth = (np.stack([frame[part] for frame in batch]) for part in (0, 1))
+            rgb, depth = np.stack([image for image, _, _ in batch]), np.stack([image for _, image, _ in batch])
             try:
                 cls, loc = await loop.run_in_executor(None, self._backend, rgb, depth)
             except Exception as error:

@@ -50,7 +50,7 @@ def share(algorithm: Any, run: RunState, runners: Sequence[int] | None = None) -
         run: what is given.
         runners: indices of the runners that get it; None gives it to all, and to the learner.
     """
-    arguments = {
+    arguments: dict[str, Any] = {
         "curriculum": run.curriculum_state(),
         "return_var": float(run.returns.var),
         "statistics": run.statistics(),

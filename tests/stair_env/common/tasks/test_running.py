@@ -49,7 +49,11 @@ def test_a_worker_that_dies_ends_the_work() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
-    [({"kind": "slurm"}, ", ".join(ENGINES)), ({"workers": 0}, "workers=0"), ({"address": "auto"}, "ray_address")],
+    [
+        ({"kind": "slurm"}, ", ".join(map(repr, ENGINES))),
+        ({"workers": 0}, "workers=0"),
+        ({"address": "auto"}, "ray_address"),
+    ],
 )
 def test_a_wrong_engine_is_refused_by_name(arguments: dict, word: str) -> None:
     with pytest.raises(ValueError, match=word):
