@@ -108,6 +108,20 @@ def test_flights_are_those_of_one_machine(cluster: Any) -> None:
     assert sum(done) == sum(map(len, wanted.values())) == 48 and len(cluster.list_all_nodes()) == NODES - 1
 
 
+@pytest.mark.slow
+def test_perceived_flights_share_a_network_and_stay_the_same() -> None:
+    from policies.evaluate.evaluation import EvaluationConfig, run_all
+
+    config = {"policy": "aliengo", "sources": ("stairnet",), "stairs": "random", "episodes": 2, "directions": ("up",)}
+    config |= {"env_kwargs": {"max_episode_steps": 30}}
+    wanted = run_all(EvaluationConfig(**config, workers=2))
+    on_ray = {**config, "workers": 2, "engine": "ray"}
+    assert run_all(EvaluationConfig(**on_ray)) == wanted
+    shared = run_all(EvaluationConfig(**on_ray, network_server=True))
+    assert shared == wanted  # on the CPU; a graphics card rounds differently
+    assert sum(episode.measured for episode in wanted["stairnet", 0]) > 0
+
+
 def contents(root: Path) -> dict[str, bytes]:
     return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
 
