@@ -12,7 +12,7 @@ DEVICE_TESTS := tests/perception/sources tests/perception/looking/test_rerun_log
 ONE_THREAD := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-clients test-lowest test-device docs notebooks lint bench clean
+.PHONY: help install demo test test-slow test-clients test-lowest test-device test-ray docs notebooks lint bench clean
 
 help:
 	@echo "make demo       the shipped policy climbs on what its camera sees; writes a video"
@@ -20,6 +20,7 @@ help:
 	@echo "make test-clients  the recipes of examples/clients with the libraries that they are for"
 	@echo "make test-lowest   core tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-device  devices, ROS recordings, Rerun and the page: installs these extras, and runs their tests"
+	@echo "make test-ray    Ray and RLlib, on a cluster of three nodes on this machine that loses one"
 	@echo "make docs       the documentation as a site in build/site, clicked through in a browser where Debian's chromium is"
 	@echo "make notebooks  runs examples/notebooks from top to bottom, and keeps what they show"
 	@echo "make lint       ruff and mypy"
@@ -71,6 +72,14 @@ $(VENV)/.device: $(STAMP)
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev,realsense,ros,exr,rerun,watch]' playwright
 	@touch $@
 
+# RLlib asks for one version of Gymnasium, so it has an environment for itself; the other versions are ours.
+RAY_TESTS := tests/stair_env/common/tasks tests/policies/train/rllib tests/perception/inference/test_frame_server.py
+test-ray:
+	$(PYTHON) -m venv .venv-ray
+	grep -v '^gymnasium==' constraints.txt > .venv-ray/constraints.txt
+	.venv-ray/bin/python -m pip install --quiet -c .venv-ray/constraints.txt -e '.[dev,ray]'
+	$(ONE_THREAD) .venv-ray/bin/python -m pytest -q -rs -m 'slow or not slow' $(RAY_TESTS)
+
 # An environment of its own: what builds pages is no part of what runs. The last line is skipped where no browser is.
 docs:
 	$(PYTHON) -m venv .venv-docs
@@ -92,4 +101,4 @@ bench: $(STAMP)
 	$(BIN)/stair-env bench
 
 clean:
-	rm -rf $(VENV) .venv-clients .venv-clients-rllib .venv-lowest runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-clients .venv-clients-rllib .venv-lowest .venv-ray runs build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

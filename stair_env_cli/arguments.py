@@ -6,21 +6,26 @@ import argparse
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
 from typing import Any, TypeVar
 
 from stair_env.common.constants import BACKENDS, NETWORK_WIDTHS, PHYSICS_ENGINES
 from stair_env.common.files import atomic_path, provenance, write_json
 from stair_env.common.progress import progress_bar
+from stair_env.common.tasks import ENGINES, Engine
 
 __all__ = [
     "WIDTH_NAMES",
     "add_backend_argument",
     "add_common_arguments",
+    "add_engine_arguments",
+    "add_network_server_argument",
     "add_physics_argument",
     "atomic_path",
     "choice_list",
+    "chosen_engine",
+    "count_list",
     "json_object",
     "json_path",
     "limit_threads",
@@ -84,6 +89,35 @@ def physics_kwargs(args: argparse.Namespace) -> dict[str, Any]:
     return kwargs
 
 
+SAME_RESULTS = "what spreads the work; Ray needs stair-env[ray] and brings the same results (%(default)s)"
+
+
+def add_engine_arguments(
+    parser: argparse.ArgumentParser, engines: Sequence[str] = ENGINES, text: str = SAME_RESULTS
+) -> None:
+    """Add `--engine` and `--ray-address`."""
+    parser.add_argument("--engine", choices=engines, default="local", help=text)
+    parser.add_argument(
+        "--ray-address",
+        metavar="HOST:PORT",
+        help="of a running Ray cluster (one is started here, with --workers cores)",
+    )
+
+
+def add_network_server_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--network-server`."""
+    parser.add_argument(
+        "--network-server",
+        action="store_true",
+        help="with Ray: one network for all cameras, on a graphics card where the cluster has one (each its own)",
+    )
+
+
+def chosen_engine(args: argparse.Namespace) -> Engine:
+    """What `--engine`, `--workers` and `--ray-address` say."""
+    return Engine(args.engine, args.workers, args.ray_address)
+
+
 def seed_value(text: str) -> int:
     """Parse a seed: a whole number >= 0."""
     return _whole_number(text, minimum=0)
@@ -121,6 +155,11 @@ def _number(text: str) -> float:
 def seed_list(text: str) -> tuple[int, ...]:
     """Parse comma-separated seeds; repeats are dropped."""
     return tuple(dict.fromkeys(seed_value(item) for item in text.split(",")))
+
+
+def count_list(text: str) -> tuple[int, ...]:
+    """Parse comma-separated whole numbers >= 1; repeats are dropped."""
+    return tuple(dict.fromkeys(positive_int(item) for item in text.split(",")))
 
 
 def number_list(text: str) -> tuple[float, ...]:

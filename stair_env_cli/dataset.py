@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 
 from stair_env.common.constants import LIGHTING_CHOICES
-from stair_env_cli.arguments import add_common_arguments, limit_threads, positive_int, progress, write_json
+from stair_env_cli.arguments import (
+    add_common_arguments,
+    add_engine_arguments,
+    chosen_engine,
+    limit_threads,
+    positive_int,
+    progress,
+    write_json,
+)
 
 PAPER_TRAIN_IMAGES = 4776  # RGB and depth images together (paper, data set introduction)
 PAPER_VAL_IMAGES = 1216
@@ -46,12 +54,14 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="authors: 8-bit depth and segmentation masks, as the training code of the paper's authors reads them",
     )
     parser.add_argument("--workers", type=positive_int, default=1, help="processes (%(default)s)")
+    add_engine_arguments(parser)
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write what is missing, and print how much there is."""
     limit_threads(1)
+    engine = chosen_engine(args)
     from perception.data.synthetic import CLUTTER_SHARE, FrameConfig
     from perception.data.writer import DatasetPlan, complete, missing_frames, write_missing
     from stair_env.sampling import SceneSampler
@@ -65,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         config=config,
     )
     total = len(missing_frames(plan))
-    for _ in progress(write_missing(plan, args.workers), total=total, description="frames"):
+    for _ in progress(write_missing(plan, engine), total=total, description="frames"):
         pass
     summary = complete(plan)
     if args.layout == "authors":

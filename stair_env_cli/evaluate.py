@@ -10,6 +10,8 @@ from typing import Any
 from stair_env.common.constants import EVALUATION_SOURCES, LIGHTING_CHOICES, STAIR_SETS, WALKING_DIRECTIONS
 from stair_env_cli.arguments import (
     add_common_arguments,
+    add_engine_arguments,
+    add_network_server_argument,
     add_physics_argument,
     choice_list,
     json_object,
@@ -70,6 +72,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     add_physics_argument(parser)
     parser.add_argument("--workers", type=positive_int, default=os.cpu_count() or 1, help="processes (%(default)s)")
+    add_engine_arguments(parser)
+    add_network_server_argument(parser)
     parser.add_argument(
         "--figure", type=Path, metavar="FILE", help="draw success over risers and treads, or the ladder, as PNG"
     )
@@ -118,6 +122,9 @@ def run(args: argparse.Namespace) -> int:
         lighting=args.lighting,
         env_kwargs=physics_kwargs(args),
         workers=args.workers,
+        engine=args.engine,
+        ray_address=args.ray_address,
+        network_server=args.network_server,
         **sizes,
     )
     _check_policies(config)

@@ -24,7 +24,7 @@ COMMANDS: dict[str, str] = {
     "demo": "the shipped policy climbs with perception in the loop; annotated video and summary",
     "view": "render staircases or sensor frames to PNG",
     "watch": "watch a robot climb in a browser page, and interfere",
-    "train": "train a policy with Stable-Baselines3",
+    "train": "train a policy with Stable-Baselines3 or RLlib",
     "evaluate": "compare stair sources on paired episodes",
     "publish": "write a policy as a folder for the Hugging Face hub",
     "benchmark": "all policies on the ladder, in one table that takes rows of one's own",

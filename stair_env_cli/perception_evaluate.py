@@ -292,11 +292,12 @@ def _rendered(args: argparse.Namespace, root: Path, counts: dict[str, int]) -> P
     """Render a set, or complete one that is there; returns its folder."""
     from perception.data.synthetic import FrameConfig
     from perception.data.writer import DatasetPlan, complete, missing_frames, write_missing
+    from stair_env.common.tasks import Engine
 
     matched = args.depth == "stereo" or args.suite == "robust"
     plan = DatasetPlan(root, counts, seed=args.seed, config=FrameConfig(stereo_variants=int(matched)))
     total = len(missing_frames(plan))
-    for _ in progress(write_missing(plan, args.workers), total=total, description="rendering"):
+    for _ in progress(write_missing(plan, Engine(workers=args.workers)), total=total, description="rendering"):
         pass
     complete(plan)
     return root

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from stair_env.common.progress import progress_bar
 from stair_env.common.validation import from_mapping
 from stair_env_cli.arguments import (
     add_common_arguments,
+    add_engine_arguments,
+    add_network_server_argument,
     add_physics_argument,
     json_object,
     limit_threads,
@@ -21,12 +24,14 @@ from stair_env_cli.arguments import (
     write_json,
 )
 
+ONLY_LOCAL = ("start_from", "tensorboard", "wandb", "rerun")  # options that RLlib's runs do not have
+
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Declare the options."""
     parser = subparsers.add_parser(
         "train",
-        help="train a policy with Stable-Baselines3",
+        help="train a policy with Stable-Baselines3 or RLlib",
         description="Train a policy; checkpoints are written while it runs, and --resume goes on after a kill.",
     )
     parser.add_argument("--output", type=Path, default=Path("runs/train"), help="folder of the run (%(default)s)")
@@ -81,6 +86,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="with each checkpoint fly the policy up and down, into recordings for the Rerun viewer in flights/",
     )
+    text = "Stable-Baselines3 here, or RLlib over a Ray cluster, which needs stair-env[ray] (%(default)s)"
+    add_engine_arguments(parser, ("local", "rllib"), text)
+    add_network_server_argument(parser)
+    parser.add_argument(
+        "--workers", type=positive_int, default=os.cpu_count() or 1, help="environment runners of rllib (%(default)s)"
+    )
     parser.add_argument("--torch-threads", type=positive_int, default=1, help="threads of the updates (%(default)s)")
     add_common_arguments(parser)
 
@@ -91,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     from policies.train import training
 
     if args.teacher:
+        if args.engine != "local":
+            raise ValueError(f"--teacher is for --engine local, not {args.engine}")
         return _imitate(args)
     started = (args.output / training.CONFIG_FILE).exists()
     if args.resume and started:
@@ -100,18 +113,30 @@ def run(args: argparse.Namespace) -> int:
         print(f"resuming the run in {args.output} as its {training.CONFIG_FILE} says")
     else:
         config = _config(args)
-    start_from = None
-    if args.start_from:
-        from policies.pretrained import locate
+    if config.engine == "rllib":
+        card = _train_with_rllib(args, config)
+    else:
+        start_from = None
+        if args.start_from:
+            from policies.pretrained import locate
 
-        start_from = locate(args.start_from)
-    card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
+            start_from = locate(args.start_from)
+        card = training.train(config, args.output, resume=args.resume, start_from=start_from, show_progress=True)
     if args.json:
         write_json(args.json, card, seed=config.seed)
     rate = card["training"].get("success_rate")
     climbed = f", {rate:.0%} of the last episodes climbed" if isinstance(rate, float) else ""
     print(f"{card['timesteps']} steps{climbed}; policy in {args.output / training.FINAL_FOLDER}")
     return 0
+
+
+def _train_with_rllib(args: argparse.Namespace, config: Any) -> dict[str, Any]:
+    unknown = [name for name in ONLY_LOCAL if getattr(args, name)]
+    if unknown:
+        raise ValueError(f"--{unknown[0].replace('_', '-')} is for --engine local, not rllib")
+    from policies.train.rllib.rllib_training import train
+
+    return train(config, args.output, resume=args.resume, show_progress=True)
 
 
 def _imitate(args: argparse.Namespace) -> int:
@@ -162,6 +187,10 @@ def _config(args: argparse.Namespace) -> Any:
         wandb=args.wandb,
         torch_threads=args.torch_threads,
         rerun=args.rerun,
+        engine=args.engine,
+        workers=args.workers,
+        ray_address=args.ray_address,
+        network_server=args.network_server,
     )
 
 

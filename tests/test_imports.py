@@ -27,6 +27,7 @@ HEAVY = ("torch", "numba", "matplotlib", "stable_baselines3", "lightning", "onnx
 FLOW = (
     "stair_env.common.importing",
     "stair_env.common",
+    "stair_env.common.tasks",
     "stair_env perception policies",  # the packages themselves, which register ids and let old paths work
     "stair_env.stairs",
     "stair_env.scene.shapes stair_env.scene.materials",
@@ -67,7 +68,7 @@ FLOW = (
     "policies.rollout policies.make_env",
     "policies.report",
     "policies.train",
-    "policies.train.imitation",
+    "policies.train.imitation policies.train.rllib",
     "policies.pretrained",
     "policies.export_actor",
     "policies.evaluate policies.watch",

@@ -2,18 +2,17 @@
 
 Beside each image stands a JSON side-car with intrinsics, gravity, light and the true geometry. Depth is 16-bit in
 millimetres. A frame's generator is seeded with (seed, split, index), so that splits are disjoint, any number of
-processes gives the same set, and an interrupted run goes on where it stopped.
+processes or machines gives the same set, and an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -23,6 +22,7 @@ from perception.data.stair_dataset import read_side_car
 from perception.data.synthetic import DEPTH_UNIT_M, FrameConfig, LabelledFrame, draw_frame
 from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import atomic_path
+from stair_env.common.tasks import LOCAL, Engine, run_tasks
 
 SPLITS = ("train", "val", "test")
 IMAGES, DEPTHS, LABELS = "images", "depthes", "labels"  # folder names of the public set
@@ -78,26 +78,26 @@ def missing_frames(plan: DatasetPlan) -> list[tuple[str, int]]:
     return missing
 
 
-def write_missing(plan: DatasetPlan, workers: int = 1) -> Iterator[tuple[str, str]]:
+def write_missing(plan: DatasetPlan, engine: Engine = LOCAL) -> Iterator[tuple[str, str]]:
     """Write the frames that are not there yet.
 
     Args:
         plan: which.
-        workers: processes.
+        engine: where they are drawn; this process writes them.
 
     Yields:
         (split, lighting) of each written frame, in any order.
+
+    Raises:
+        stair_env.common.tasks.EngineError: Ray is not to be had, or a frame loses its workers again and again.
     """
     _claim(plan)
     for split in plan.frames:
         for folder in (IMAGES, DEPTHS, LABELS, *stereo_folders(plan.config.stereo_variants)):
             (plan.root / split / folder).mkdir(parents=True, exist_ok=True)
-    jobs = [(plan, split, index) for split, index in missing_frames(plan)]
-    if workers == 1:
-        yield from map(_write_job, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap_unordered(_write_job, jobs, chunksize=8)
+    for (split, _), drawn in run_tasks(_draw, missing_frames(plan), engine, shared=plan):
+        _write_files(plan.root / split, drawn.files)
+        yield split, drawn.lighting
 
 
 def _claim(plan: DatasetPlan) -> None:
@@ -132,23 +132,42 @@ def complete(plan: DatasetPlan) -> dict[str, Any]:
     return summary
 
 
-def _write_job(job: tuple[DatasetPlan, str, int]) -> tuple[str, str]:
-    plan, split, index = job
+class _DrawnFrame(NamedTuple):
+    """A frame's light, and its files by the path within the split's folder."""
+
+    lighting: str
+    files: dict[str, bytes]
+
+
+def _draw(job: tuple[str, int], plan: DatasetPlan) -> _DrawnFrame:
+    split, index = job
     frame = draw_frame(plan.rng(split, index), plan.config, threads=1)
-    write_frame(plan.root / split, f"{index:06d}_{frame.lighting}", frame)
-    return split, frame.lighting
+    return _DrawnFrame(frame.lighting, encode_frame(f"{index:06d}_{frame.lighting}", frame))
 
 
 def write_frame(folder: Path, stem: str, frame: LabelledFrame) -> None:
-    """Write one frame into a split's folder; the label comes last, so a frame with a label is complete."""
+    """Write one frame into a split's folder."""
+    _write_files(folder, encode_frame(stem, frame))
+
+
+def encode_frame(stem: str, frame: LabelledFrame) -> dict[str, bytes]:
+    """One frame as files: path within the split's folder -> content.
+
+    The label comes last: written in this order, a frame with a label is complete.
+    """
     bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
-    _write(folder / IMAGES / f"{stem}.jpg", _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
+    files = {f"{IMAGES}/{stem}.jpg": _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])}
     for name, depth_m in zip((DEPTHS, *stereo_folders(len(frame.stereo_m))), (frame.depth_m, *frame.stereo_m)):
         millimetres = np.clip(np.rint(depth_m / DEPTH_UNIT_M), 0, 65535).astype(np.uint16)
-        png = _encoded(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
-        _write(folder / name / f"{stem}.png", png)
-    _write(folder / IMAGES / f"{stem}.json", json.dumps(frame.side_car()).encode())
-    _write(folder / LABELS / f"{stem}.txt", format_labels(frame.kinds, frame.lines).encode())
+        files[f"{name}/{stem}.png"] = _encoded(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
+    files[f"{IMAGES}/{stem}.json"] = json.dumps(frame.side_car()).encode()
+    files[f"{LABELS}/{stem}.txt"] = format_labels(frame.kinds, frame.lines).encode()
+    return files
+
+
+def _write_files(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
+        _write(folder / name, content)
 
 
 def stereo_folders(variants: int) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from policies.rollout import Episode, Predictor, measurement_summary, run_episod
 from policies.statistics import wilson_interval
 from stair_env.common.constants import EVALUATION_SOURCES, GRAVITY_M_S2, WALKING_DIRECTIONS
 from stair_env.common.field_kinds import naming_fields
+from stair_env.common.tasks import Engine
 from stair_env.common.validation import check_choice
 from stair_env.physics.simulation import CONTROL_DT
 from stair_env.robots import DEFAULT_ROBOT, get_robot
@@ -78,6 +79,9 @@ class EvaluationConfig:
         lighting: "day", "night" or "random".
         env_kwargs: further arguments of every environment.
         workers: processes; 1 runs in this one.
+        engine: "local" or "ray", which brings the same episodes (`stair_env.common.tasks`).
+        ray_address: of a running Ray cluster; None starts one on this machine.
+        network_server: with Ray, perceived environments share one network, on a graphics card where there is one.
 
     Raises:
         ValueError: a wrong value; the message names argument, value and choices.
@@ -96,6 +100,9 @@ class EvaluationConfig:
     lighting: str = "day"
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
     workers: int = 1
+    engine: str = "local"
+    ray_address: str | None = None
+    network_server: bool = False
 
     @naming_fields
     def __post_init__(self) -> None:
@@ -103,9 +110,11 @@ class EvaluationConfig:
             raise ValueError(f"sources is empty, choose from {', '.join(EVALUATION_SOURCES)}")
         for name in self.sources:
             check_choice("source", name, EVALUATION_SOURCES)
-        for name in ("episodes", "workers"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)!r} must be >= 1")
+        if self.episodes < 1:
+            raise ValueError(f"episodes={self.episodes!r} must be >= 1")
+        self.runs_on()
+        if self.network_server and self.engine != "ray":
+            raise ValueError(f"network_server=True is for engine='ray', not {self.engine!r}")
         robot = pretrained.fitting_robot(self.robot, (self.policy, self.blind_policy))
         object.__setattr__(self, "robot", robot)
         self.cells()
@@ -118,6 +127,10 @@ class EvaluationConfig:
     def cells(self) -> list[Cell]:
         """What is climbed, in the order that seeds and records count by."""
         return make_cells(self.stairs, self.directions, self.risers, self.treads, self.robot or DEFAULT_ROBOT)
+
+    def runs_on(self) -> Engine:
+        """Where the episodes are flown."""
+        return Engine(self.engine, self.workers, self.ray_address)
 
 
 Records = dict[tuple[str, int], list[Episode]]
@@ -144,6 +157,7 @@ def run_all(
     Raises:
         ValueError: a policy cannot be loaded or does not fit.
         concurrent.futures.process.BrokenProcessPool: a worker died.
+        stair_env.common.tasks.EngineError: Ray is not to be had, or an episode loses its workers again and again.
     """
     cells = config.cells()
     jobs = plan_jobs(config, cells)
@@ -155,7 +169,7 @@ def run_all(
     ]
     if on_done and len(left) < len(jobs):
         on_done(sum(len(job.seeds) for job in jobs) - sum(len(job.seeds) for job in left))
-    for job, episodes in run_jobs(left, config.workers):
+    for job, episodes in run_jobs(left, config.runs_on(), config.network_server):
         found.update((job.key(episode.seed), episode) for episode in episodes)
         if log:
             log.add(job.source, job.policy, job.cell_index, episodes)
@@ -250,6 +264,7 @@ def _chosen(
 def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
     """All work in chunks; the slow sources first, so that no worker is left with them at the end."""
     actors = {"policy": config.policy, "blind": config.blind_policy, "gait": None}
+    size = CHUNK if config.engine == "local" else 1  # on a cluster a lost worker costs one episode
     jobs = []
     for name in sorted(config.sources, key=lambda name: SOURCE_SETUPS[name].env_id != PERCEPTION_ID):
         source = SOURCE_SETUPS[name]
@@ -257,8 +272,8 @@ def plan_jobs(config: EvaluationConfig, cells: Sequence[Cell]) -> list[Job]:
         common |= {**config.env_kwargs, **source.env_kwargs}
         for index, cell in enumerate(cells):
             seeds = episode_seeds(config.seed, index, config.episodes)
-            for start in range(0, len(seeds), CHUNK):
-                chunk = tuple(seeds[start : start + CHUNK])
+            for start in range(0, len(seeds), size):
+                chunk = tuple(seeds[start : start + size])
                 kwargs = {**common, **cell.env_kwargs}
                 jobs.append(Job(name, index, source.env_id, kwargs, cell.options, actors[source.actor], chunk))
     return jobs

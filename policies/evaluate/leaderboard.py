@@ -35,8 +35,9 @@ same flight for every line, so lines of one seed can be compared flight by fligh
 `zero` is the gait alone, `random` draws every action. **Add a line of your own**:
 
 ```
-stair-env evaluate --policy runs/mine/final --stairs ladder --episodes 30 --json mine.json
-stair-env benchmark mine=mine.json
+stair-env evaluate --policy runs/mine/final --stairs ladder --episodes 30 --seed 41 --json mine.json
+stair-env benchmark submit mine=mine.json           # checks the file, prints its line
+stair-env benchmark submit mine=mine.json --write   # adds it to the table
 ```
 """
 

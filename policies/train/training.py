@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from policies.hyperparams import ALGORITHMS, load_hyperparams
-from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.make_env import CLIMB_ID, PERCEPTION_ID, make_vec_env, normalise
 from policies.saved_models import read_pickle
 from policies.train import checkpoints
 from policies.train.curves import CURVE_FILE
@@ -27,6 +27,7 @@ from policies.train.described import described, described_objects
 from policies.train.wandb_run import wandb_run
 from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import provenance, read_json_object, write_json
+from stair_env.common.validation import check_choice
 from stair_env.observation import PRIVILEGED_KEY
 
 if TYPE_CHECKING:
@@ -41,7 +42,9 @@ FINAL_FOLDER = "final"
 CHECKPOINT_FOLDER = "checkpoints"
 FLIGHT_FOLDER = "flights"
 # Keys of the YAML file that others read.
-NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback", "env_kwargs")
+RLLIB_KEY = "rllib"  # settings of RLlib alone
+NOT_THE_ALGORITHMS = ("n_timesteps", "n_envs", "normalize", "callback", "env_kwargs", RLLIB_KEY)
+TRAINING_ENGINES = ("local", "rllib")
 HIDING_POLICIES = ("StairActorCriticPolicy", "StairSacPolicy", "StairTd3Policy", "StairTqcPolicy")
 DEFAULT_GAMMA = 0.99  # of both algorithms in SB3
 
@@ -67,6 +70,10 @@ class TrainingConfig:
             on this machine.
         torch_threads: threads of the network's updates.
         rerun: with each checkpoint fly the policy, and write a recording for the Rerun viewer.
+        engine: "local" (Stable-Baselines3, here) or "rllib" (`policies.train.rllib`).
+        workers: environment runners of RLlib.
+        ray_address: of a running Ray cluster; None starts one on this machine.
+        network_server: with RLlib, the cameras of all environments ask one network.
 
     Raises:
         ValueError: a value is out of range.
@@ -86,15 +93,25 @@ class TrainingConfig:
     wandb: str | None = None
     torch_threads: int = 1
     rerun: bool = False
+    engine: str = "local"
+    workers: int = 1
+    ray_address: str | None = None
+    network_server: bool = False
 
     @naming_fields
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {', '.join(ALGORITHMS)}")
-        for name in ("total_timesteps", "num_envs", "checkpoint_every", "torch_threads"):
+        check_choice("engine", self.engine, TRAINING_ENGINES)
+        for name in ("total_timesteps", "num_envs", "checkpoint_every", "torch_threads", "workers"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value!r} must be >= 1")
+
+        if self.network_server and (self.engine, self.env_id) != ("rllib", PERCEPTION_ID):
+            raise ValueError(f"network_server=True is for engine='rllib' and {PERCEPTION_ID}")
+        if self.ray_address is not None and self.engine != "rllib":
+            raise ValueError(f"ray_address={self.ray_address!r} is for engine='rllib', not {self.engine!r}")
 
     def resolved_hyperparams(self) -> dict[str, Any]:
         """The YAML file's values with this configuration's on top."""

@@ -8,13 +8,17 @@ from collections.abc import Callable
 from stair_env_cli.arguments import (
     add_backend_argument,
     add_common_arguments,
+    add_engine_arguments,
     choice_list,
+    count_list,
+    limit_threads,
     positive_int,
     progress,
     write_json,
 )
 from stair_env_cli.bench.timing import Row
 
+ROUNDS = 15
 NAMES = (
     "env-step",
     "vector-step",
@@ -42,18 +46,24 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="time and memory ratios, each pair measured in one run",
         description="Measure pairs in turn. A ratio is theirs over ours: above 1, ours is faster or smaller.",
     )
-    parser.add_argument("--rounds", type=positive_int, default=15, help="pairs to measure (%(default)s)")
+    parser.add_argument("--rounds", type=positive_int, help=f"pairs to measure ({ROUNDS})")
     parser.add_argument(
         "--only", type=choice_list(NAMES), default=NAMES, metavar="LIST", help=f"of {', '.join(NAMES)} (all)"
     )
+    parser.add_argument(
+        "--scale",
+        type=count_list,
+        metavar="LIST",
+        help="instead of all that: flights on so many workers against one, comma-separated (3 rounds)",
+    )
+    add_engine_arguments(parser)
     add_backend_argument(parser)
     add_common_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
-    measures = all_rows(args.backend)
-    rows = [measures[name](args.rounds) for name in progress(args.only, description="bench")]
+    rows = _scale(args) if args.scale else _pairs(args)
     if args.json:
         write_json(args.json, {"rows": [row.to_dict() for row in rows]}, seed=args.seed)
     print(f"{'':<64}{'ours':>10}{'theirs':>10}{'':>4}{'ratio':>8}{'wanted':>8}")
@@ -61,6 +71,21 @@ def run(args: argparse.Namespace) -> int:
         wanted = "" if row.target is None else f">={row.target:g}"
         print(f"{row.name:<64}{row.ours:>10.3f}{row.theirs:>10.3f}{row.unit:>4}{row.ratio:>8.2f}{wanted:>8}")
     return 0
+
+
+def _pairs(args: argparse.Namespace) -> list[Row]:
+    if args.engine != "local" or args.ray_address:
+        raise ValueError(f"--engine {args.engine} is for --scale")
+    measures = all_rows(args.backend)
+    return [measures[name](args.rounds or ROUNDS) for name in progress(args.only, description="bench")]
+
+
+def _scale(args: argparse.Namespace) -> list[Row]:
+    limit_threads(1)
+    from stair_env_cli.bench import scale_rows
+
+    rounds = args.rounds or scale_rows.ROUNDS
+    return scale_rows.scale_rows(args.scale, args.engine, args.ray_address, rounds)
 
 
 def all_rows(backend: str = "onnx") -> dict[str, Callable[[int], Row]]:

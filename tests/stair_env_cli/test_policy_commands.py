@@ -64,6 +64,15 @@ def test_evaluate_writes_cells_and_overall(
         (["evaluate", "--env-kwargs", '{"engine": "ode"}'], ["engine='ode'", "mujoco"]),
         (["train", "--physics", "bullet", "--env-kwargs", '{"engine": "mujoco"}'], ["--physics bullet", "mujoco"]),
         (["benchmark", "no_such.json"], ["no_such.json"]),
+        (["benchmark", "submit", "no_such.json"], ["no_such.json"]),
+        (["benchmark", "submit"], ["submit [NAME=]FILE"]),
+        (["benchmark", "--write", "no_such.json"], ["--write", "submit"]),
+        (["evaluate", "--source", "gait", "--ray-address", "auto"], ["ray_address='auto'", "engine='ray'"]),
+        (["evaluate", "--source", "gait", "--network-server"], ["network_server", "engine='ray'"]),
+        (["bench", "--engine", "ray"], ["--engine ray", "--scale"]),
+        (["train", "--engine", "rllib", "--rerun"], ["--rerun", "--engine local"]),
+        (["train", "--engine", "rllib", "--teacher", "gait"], ["--teacher", "--engine local"]),
+        (["train", "--ray-address", "auto"], ["ray_address='auto'", "engine='rllib'"]),
         (["train", "--robot", "cat"], ["robot='cat'", "aliengo"]),
         (["train", "--env", "stair_env/StairFall-v0"], ["StairFall-v0"]),
         (["train", "--hyperparams", "no_such.yml"], ["no_such.yml"]),
@@ -74,7 +83,7 @@ def test_evaluate_writes_cells_and_overall(
 def test_bad_input_is_one_clear_line(
     arguments: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output = [] if arguments[0] in ("evaluate", "benchmark") else ["--output", str(tmp_path / "run")]
+    output = [] if arguments[0] in ("evaluate", "benchmark", "bench") else ["--output", str(tmp_path / "run")]
     assert main([*arguments, *output]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("stair-env")]
     assert len(lines) == 1 and all(word in lines[0] for word in words)
@@ -85,6 +94,20 @@ def test_wrong_options_name_the_choices(arguments: list[str], capsys: pytest.Cap
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2 and capsys.readouterr().err
+
+
+def test_a_line_is_checked_and_then_joins_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = Path(__file__).parents[2] / "results"
+    table = json.loads((results / "benchmark.json").read_text())
+    (tmp_path / "benchmark.json").write_text(json.dumps(table))
+    submit = ["benchmark", "submit", f"mine={results / 'evaluate_ladder_a1.json'}", "--output", str(tmp_path)]
+    assert main(submit) == 0
+    assert "no fault found" in capsys.readouterr().out
+    assert json.loads((tmp_path / "benchmark.json").read_text()) == table  # nothing is written unless asked for
+    assert main([*submit, "--write"]) == 0
+    assert "| mine | oracle |" in (tmp_path / "benchmark.md").read_text()
+    assert main(submit) == 2  # the name is taken now
+    assert "policy: 'mine' is taken" in capsys.readouterr().err
 
 
 def test_a_row_of_ones_own_joins_the_benchmark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

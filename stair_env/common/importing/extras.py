@@ -23,6 +23,7 @@ DISTRIBUTIONS = {
     "minari": "'minari[hdf5,create]'",
     "wandb": "wandb",
     "mujoco": "'stair-env[mujoco]'",
+    "ray": "'stair-env[ray]'",
 }
 
 
@@ -43,7 +44,8 @@ def naming_extras() -> Iterator[None]:
         library = (error.name or "").partition(".")[0]
         if library not in DISTRIBUTIONS or isinstance(error, MissingExtraError):
             raise
+        wanted = DISTRIBUTIONS[library]
+        everything = "" if "[" in wanted else ", or 'stair-env[all]' for everything"  # [all] has no such extras
         raise MissingExtraError(
-            f"{library} is not installed: pip install {DISTRIBUTIONS[library]}, or 'stair-env[all]' for everything",
-            name=error.name,
+            f"{library} is not installed: pip install {wanted}{everything}", name=error.name
         ) from error
