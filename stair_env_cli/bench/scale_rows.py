@@ -6,6 +6,7 @@ which a long evaluation does once, is left out.
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 import time
 from collections.abc import Sequence
@@ -50,7 +51,7 @@ def seconds_per_1000_steps(engine: Engine, flights: int | None = None) -> float:
 
     Args:
         engine: where.
-        flights: how many; None takes FLIGHTS a worker.
+        flights: how many, more than workers; None takes FLIGHTS a worker.
     """
     from policies.evaluate.evaluation import EvaluationConfig, plan_jobs
     from policies.evaluate.flying import run_jobs
@@ -65,8 +66,10 @@ def seconds_per_1000_steps(engine: Engine, flights: int | None = None) -> float:
         engine=engine.kind,
         ray_address=engine.address,
     )
+    planned = plan_jobs(config, config.cells())
+    jobs = [dataclasses.replace(job, seeds=(seed,)) for job in planned for seed in job.seeds]  # a result each
     ends, steps = [], []
-    for _, episodes in run_jobs(plan_jobs(config, config.cells()), engine):
+    for _, episodes in run_jobs(jobs, engine):
         ends.append(time.perf_counter())
         steps.append(sum(episode.control_steps for episode in episodes))
     skipped = min(engine.workers, len(ends) - 1)  # the first results: workers that were still starting
