@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perception.inference.backends import BackendError, as_grids, check_batch, check_network, empty_answer
+from perception.inference.backend_interface import BackendError, as_grids, check_batch, check_network, empty_answer
 from perception.inference.preprocess import colour_input, depth_input
 from perception.inference.weights import WeightsError
 from stair_env.common.constants import IMAGE_SIZE

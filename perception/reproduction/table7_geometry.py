@@ -18,8 +18,8 @@ import numpy as np
 
 from perception.estimator import StairEstimator
 from perception.geometry.results import StairEstimate
-from perception.reproduction.baselines.point_planes import measure_point_planes
 from perception.reproduction.ideal_detector import IdealDetector
+from perception.reproduction.point_planes import measure_point_planes
 from stair_env.common.constants import BACKENDS, DEPTH_SOURCES, MEASURED_DETECTORS, NOMINAL_GRAVITY_M_S2
 from stair_env.common.transforms import look_along
 from stair_env.common.validation import check_choice, check_range

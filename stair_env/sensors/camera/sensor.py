@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from stair_env.intrinsics import D435I_COLOR_MODES, Intrinsics
 from stair_env.scene.shapes import Shape
 from stair_env.sensors.camera.colour_error import ColourErrorConfig, ColourErrorModel
 from stair_env.sensors.camera.depth_error import DepthErrorConfig, DepthErrorModel
+from stair_env.sensors.camera.image_motion import image_motion_px, middle_distance_m, motion_between
 from stair_env.sensors.camera.renderers.base import Renderer
 from stair_env.sensors.camera.renderers.factory import RENDERERS
 from stair_env.sensors.camera.stereo import StereoConfig, StereoDepth
@@ -314,9 +314,8 @@ class RgbdCamera:
 
     def _is_standing(self, pose: np.ndarray, distance_m: float) -> bool:
         """Whether the image has moved less than `_STANDING_PX` since the last frame that counted as another view."""
-        before = self._pose_of_frame
-        if before is not None:
-            turn_rad, moved_m = motion_between(before, pose)
+        if self._pose_of_frame is not None:
+            turn_rad, moved_m = motion_between(self._pose_of_frame, pose)
             if self.intrinsics.fx * (turn_rad + moved_m / distance_m) < _STANDING_PX:
                 return True
         self._pose_of_frame = pose
@@ -342,29 +341,6 @@ class RgbdCamera:
         return self._delivered
 
 
-def middle_distance_m(depth_m: np.ndarray, near_m: float, far_m: float) -> float:
-    """Median of the depths (H, W) float32 within near_m..far_m, by every 16th pixel; far_m if there is none."""
-    sample = depth_m[::16, ::16].ravel()
-    sample = sample[(sample >= np.float32(near_m)) & (sample <= np.float32(far_m)) & (sample > 0.0)]
-    if len(sample) == 0:
-        return far_m
-    sample.sort()  # np.median takes four times as long to say the same
-    return float(np.float32(0.5) * (sample[(len(sample) - 1) // 2] + sample[len(sample) // 2]))
-
-
-def motion_between(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """By what angle (radians) and how far (metres) a camera has moved between two poses (4, 4).
-
-    In plain numbers: between two frames numpy's small functions and scipy's rotations find cold caches and take a
-    quarter of a millisecond.
-    """
-    a, b = before.tolist(), after.tolist()
-    r = [[sum(a[k][i] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
-    sine = 0.5 * math.hypot(r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1])
-    cosine = 0.5 * (r[0][0] + r[1][1] + r[2][2] - 1.0)
-    return math.atan2(sine, cosine), math.hypot(*(b[i][3] - a[i][3] for i in range(3)))
-
-
 def draw_mount_error(config: CameraConfig, rng: np.random.Generator) -> np.ndarray:
     """Draw how far the camera sits from where its calibration says.
 
@@ -381,23 +357,3 @@ def draw_mount_error(config: CameraConfig, rng: np.random.Generator) -> np.ndarr
     error[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
     error[:3, 3] = np.asarray(config.mount_offset_m) + config.mount_offset_range_m * drawn[3:]
     return error
-
-
-def image_motion_px(
-    intrinsics: Intrinsics, previous_to_world: np.ndarray, camera_to_world: np.ndarray, distance_m: float
-) -> np.ndarray:
-    """How far what is in the middle of the image has moved since the previous pose.
-
-    Args:
-        intrinsics: of the image.
-        previous_to_world, camera_to_world: (4, 4) camera poses then and now.
-        distance_m: of the thing in the middle of the image now, metres.
-
-    Returns:
-        (2,) float64 (right, down), pixels; zeros when it was behind the previous camera.
-    """
-    point = camera_to_world[:3, 3] + distance_m * camera_to_world[:3, 2]
-    before = previous_to_world[:3, :3].T @ (point - previous_to_world[:3, 3])
-    if before[2] <= 1e-3:
-        return np.zeros(2)
-    return -np.array([intrinsics.fx * before[0], intrinsics.fy * before[1]]) / before[2]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from perception.reproduction.baselines.point_planes import PointPlanesConfig, measure_point_planes
+from perception.reproduction.point_planes import PointPlanesConfig, measure_point_planes
 from perception.reproduction.table7_geometry import _frame_with_steps, dress, steps_of
 from stair_env.common.validation import SpecError
 from stair_env.intrinsics import D435I_COLOR_MODES
