@@ -266,7 +266,7 @@ def steps_of(estimate: StairEstimate, profile: StairProfile, camera_x: float) ->
             yield index, step.width_m, step.height_m
 
 
-POINT_PLANES = "point cloud's level planes"
+POINT_PLANES = "point cloud's planes"
 TABLE_METHODS: tuple[str, ...] = ("planes", "paper", "planes, scale bias 2 %", POINT_PLANES)
 
 
