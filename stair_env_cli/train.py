@@ -35,9 +35,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--teacher",
-        choices=("gait",),
-        help="learn joint angles from the gait by DAgger; --set then takes fields of policies.train.imitation.dagger."
-        "ImitationConfig, and --timesteps is rounded up to whole rounds",
+        choices=("gait", "stance"),
+        help="learn joint angles by DAgger from the gait, or from the gait in a wider and lower stance; --set then "
+        "takes fields of policies.train.imitation.dagger.ImitationConfig, and --timesteps is rounded up to full rounds",
     )
     parser.add_argument(
         "--direction", choices=EPISODE_DIRECTIONS, default="both", help="walking direction (%(default)s)"
@@ -115,7 +115,7 @@ def _imitate(args: argparse.Namespace) -> int:
         kwargs.pop("curriculum", None)  # the teacher climbs from the start
         given = {"num_envs": args.num_envs, **args.set} if args.num_envs else args.set
         config = from_mapping("--set", dagger.ImitationConfig, given)
-        config = dataclasses.replace(config, env_kwargs=kwargs, seed=args.seed, vec_kind=args.vec)
+        config = dataclasses.replace(config, env_kwargs=kwargs, teacher=args.teacher, seed=args.seed, vec_kind=args.vec)
     if args.timesteps:
         config = dataclasses.replace(config, rounds=math.ceil(args.timesteps / config.steps_per_round))
     with progress_bar(config.rounds, "train", unit="round") as bar:

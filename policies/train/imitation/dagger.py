@@ -52,6 +52,7 @@ class ImitationConfig:
 
     Args:
         env_kwargs: keyword arguments of the environment, JSON-able; actuation="joint".
+        teacher: one of `policies.teaching.TEACHERS`.
         rounds: how many times to collect and fit.
         steps_per_round: control steps over all environments.
         num_envs: parallel environments.
@@ -75,6 +76,7 @@ class ImitationConfig:
     """
 
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    teacher: str = "gait"
     rounds: int = 24
     steps_per_round: int = 10_240
     num_envs: int = 10
@@ -130,7 +132,7 @@ def imitate(
     if (folder / CONFIG_FILE).exists() and not resume:
         raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
     torch.set_num_threads(1)
-    kwargs = {"memory": True, "teacher": True, "max_episode_steps": config.episode_steps, **config.env_kwargs}
+    kwargs = {"memory": True, "teacher": config.teacher, "max_episode_steps": config.episode_steps, **config.env_kwargs}
     venv = make_vec_env(CLIMB_ID, config.num_envs, kwargs, seed=config.seed, kind=config.vec_kind)
     try:
         write_json(folder / CONFIG_FILE, dataclasses.asdict(config), seed=config.seed)
