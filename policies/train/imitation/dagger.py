@@ -7,7 +7,7 @@ actor-critic policy, is fitted to all the advice so far. What comes out is a PPO
 --start-from` goes on with.
 
 A run's folder holds `config.json`, `rounds/` (each round's observations and advice), `curve.csv` (one row a round),
-`checkpoints/` and at the end `final/`.
+`checkpoints/` and at the end `final/`. `cpu_s` in the curve is the time of this process, without workers.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def imitate(
         lessons = [read_lesson(model, _read_round(folder, number)) for number in range(done)]
         curve: list[dict[str, Any]] = _read_curve(folder)[:done]
         for number in range(done, config.rounds):
-            begun = time.monotonic()
+            start, cpu_start = time.monotonic(), time.process_time()
             venv.seed(config.seed + 100_000 * number)  # resumed or not, a round walks the same episodes
             rng = np.random.default_rng([config.seed, number])
             samples, walked = collect(config, model, number, rng)
@@ -153,7 +153,8 @@ def imitate(
             loss = fit(model, lessons, updates, config, rng)
             model.num_timesteps += _steps(config)
             row = {"round": number, "timesteps": model.num_timesteps, "loss": loss, **walked}
-            row["wall_s"] = round(time.monotonic() - begun + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            row["wall_s"] = round(time.monotonic() - start + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            row["cpu_s"] = round(time.process_time() - cpu_start + (curve[-1].get("cpu_s", 0.0) if curve else 0.0), 1)
             row["success_rate"] = _rate(row)
             curve.append(row)
             _write_round(folder, number, samples)

@@ -1,0 +1,73 @@
+"""Curves of several runs of learning from a teacher, side by side.
+
+`python -m policies.train.imitation.curves NAME=RUN... --output FILE.json --figure FILE.png` writes table and picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from policies.statistics import wilson_interval
+from policies.train.curves import CURVE_FILE, read_curve
+
+WINDOW = 3  # rounds of which flights are counted together: one holds some fifteen
+FIELDS = ("timesteps", "loss", "alone_episodes", "alone_successes", "wall_s")
+
+
+def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]:
+    """Rows of each run's curve.
+
+    Args:
+        runs: folders that `stair-env train --teacher` wrote, by the name that they get.
+
+    Returns:
+        By name, a row a round: FIELDS, and `alone_rate` with `alone_ci95`, the share of the flights alone that arrived
+        in this round and the WINDOW - 1 before it, None where there were none.
+
+    Raises:
+        ValueError: a folder holds no curve of this kind.
+    """
+    return {name: _read_run(Path(run)) for name, run in runs.items()}
+
+
+def _read_run(run: Path) -> list[dict[str, Any]]:
+    rows = read_curve(run / CURVE_FILE)
+    if not rows or any(field not in rows[0] for field in FIELDS):
+        raise ValueError(f"{run} holds no {CURVE_FILE} with {', '.join(FIELDS)}")
+    read = []
+    for end, row in enumerate(rows, 1):
+        recent = rows[max(end - WINDOW, 0) : end]
+        flown, arrived = (int(sum(one[field] for one in recent)) for field in ("alone_episodes", "alone_successes"))
+        rate = {"alone_rate": arrived / flown, "alone_ci95": list(wilson_interval(arrived, flown))} if flown else {}
+        read.append({**{field: row[field] for field in FIELDS}, "alone_rate": None, "alone_ci95": None, **rate})
+    return read
+
+
+def _named(text: str) -> tuple[str, Path]:
+    name, _, folder = text.rpartition("=")
+    return name or Path(folder).name, Path(folder)
+
+
+def _main() -> None:
+    import argparse
+
+    from policies.report.figures import draw_imitation
+    from stair_env.common.files import write_json
+
+    parser = argparse.ArgumentParser(
+        prog="python -m policies.train.imitation.curves", description="Curves of runs that learned from a teacher."
+    )
+    parser.add_argument("runs", nargs="+", type=_named, metavar="[NAME=]RUN")
+    parser.add_argument("--output", type=Path, required=True, help="JSON file")
+    parser.add_argument("--figure", type=Path, required=True, help="PNG file")
+    args = parser.parse_args()
+    curves = read_runs(dict(args.runs))
+    draw_imitation(curves, args.figure)
+    write_json(args.output, {"window": WINDOW, "curves": curves})
+    print(args.output, args.figure)
+
+
+if __name__ == "__main__":
+    _main()
