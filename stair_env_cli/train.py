@@ -107,8 +107,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _imitate(args: argparse.Namespace) -> int:
     from policies.train.imitation import dagger
+    from policies.train.imitation.run_folder import CONFIG_FILE, FINAL_FOLDER
 
-    if args.resume and (args.output / dagger.CONFIG_FILE).exists():
+    if args.resume and (args.output / CONFIG_FILE).exists():
         config = dagger.load_config(args.output)
     else:
         kwargs = {"actuation": "joint", "actuator": "position", "spawn": "floor", **_env_kwargs(args)}
@@ -130,7 +131,7 @@ def _imitate(args: argparse.Namespace) -> int:
     alone = card["training"]["success_rate"]
     print(
         f"{card['timesteps']} steps, {alone:.0%} of the last flights alone climbed; policy in "
-        f"{args.output / dagger.FINAL_FOLDER}"
+        f"{args.output / FINAL_FOLDER}"
     )
     return 0
 
