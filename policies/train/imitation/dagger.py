@@ -44,7 +44,7 @@ from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
 if TYPE_CHECKING:
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+    from stable_baselines3.common.vec_env import VecNormalize
 
 LOGGER = logging.getLogger(__name__)
 
@@ -139,11 +139,12 @@ def imitate(
     if (folder / CONFIG_FILE).exists() and not resume:
         raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
     torch.set_num_threads(1)
-    venv = make_students_env(config, config.num_envs)
+    kwargs = {"memory": True, "teacher": config.teacher, "max_episode_steps": config.episode_steps, **config.env_kwargs}
+    venv = make_vec_env(CLIMB_ID, config.num_envs, kwargs, seed=config.seed, kind=config.vec_kind)
     try:
         write_json(folder / CONFIG_FILE, dataclasses.asdict(config), seed=config.seed)
         saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
-        model = load_model(venv, saved[-1]) if saved else new_model(config, venv)
+        model = _load_model(venv, saved[-1]) if saved else _new_model(config, venv)
         done = checkpoints.read_state(saved[-1])["num_timesteps"] // _steps(config) if saved else 0
         lessons = [read_lesson(model, samples) for samples in read_rounds(folder, done)]
         curve: list[dict[str, Any]] = read_curve(folder)[:done]
@@ -182,12 +183,6 @@ def load_config(folder: Path | str) -> ImitationConfig:
     values = json.loads((Path(folder) / CONFIG_FILE).read_text(encoding="utf-8"))
     names = {item.name for item in dataclasses.fields(ImitationConfig)}
     return ImitationConfig(**{name: value for name, value in values.items() if name in names})
-
-
-def make_students_env(config: ImitationConfig, count: int) -> VecEnv:
-    """Environments with memory and teacher, not normalised."""
-    kwargs = {"memory": True, "teacher": config.teacher, "max_episode_steps": config.episode_steps, **config.env_kwargs}
-    return make_vec_env(CLIMB_ID, count, kwargs, seed=config.seed, kind=config.vec_kind if count > 1 else "dummy")
 
 
 def collect(
@@ -317,8 +312,7 @@ def _normalised(model: PPO) -> VecNormalize:
     return venv
 
 
-def new_model(config: ImitationConfig, venv: Any) -> PPO:
-    """A student that has learned nothing, and whose statistics stay as they are."""
+def _new_model(config: ImitationConfig, venv: Any) -> PPO:
     import torch
     from stable_baselines3 import PPO
 
@@ -337,8 +331,7 @@ def new_model(config: ImitationConfig, venv: Any) -> PPO:
     )
 
 
-def load_model(venv: Any, checkpoint: Path) -> PPO:
-    """The student of a checkpoint or of `final/`."""
+def _load_model(venv: Any, checkpoint: Path) -> PPO:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 

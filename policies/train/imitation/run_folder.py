@@ -49,13 +49,3 @@ def read_curve(folder: Path) -> list[dict[str, Any]]:
         return []
     with (folder / CURVE_FILE).open(newline="", encoding="utf-8") as file:
         return [{name: json.loads(value) for name, value in row.items()} for row in csv.DictReader(file)]
-
-
-def read_card(folder: Path | str) -> dict[str, Any]:
-    """The card of a run's result.
-
-    Raises:
-        FileNotFoundError: the run has no result yet.
-    """
-    card: dict[str, Any] = json.loads((Path(folder) / FINAL_FOLDER / CARD_FILE).read_text(encoding="utf-8"))
-    return card
