@@ -149,7 +149,7 @@ def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | 
 
 
 def draw_imitation(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | str) -> None:
-    """Learning from a teacher: flights alone that arrive, with their intervals, and the fit's error over control steps.
+    """Learning from a teacher: flights alone that arrive, over some rounds, with intervals, and the fit's error.
 
     Args:
         curves: of `policies.train.imitation.curves.read_runs`.
@@ -164,7 +164,7 @@ def draw_imitation(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path
             at, rate, low, high = np.array(flown).T
             axes[0, 0].plot(at, rate, label=name, linewidth=1.2, color=line.get_color())
             axes[0, 0].fill_between(at, low, high, color=line.get_color(), alpha=0.1, linewidth=0)
-    for axis, label in zip(axes[0], ("flights alone that arrive, three rounds", "error of the fit, in actions")):
+    for axis, label in zip(axes[0], ("flights alone that arrive", "error of the fit, in actions")):
         axis.set_xlabel("thousand control steps")
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,11 @@ def _read_run(run: Path) -> list[dict[str, Any]]:
     rows = read_curve(run / CURVE_FILE)
     if not rows or any(field not in rows[0] for field in FIELDS):
         raise ValueError(f"{run} holds no {CURVE_FILE} with {', '.join(FIELDS)}")
+    return add_rates(rows)
+
+
+def add_rates(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """FIELDS of a curve's rows, with `alone_rate` and `alone_ci95` as `read_runs` returns them."""
     read = []
     for end, row in enumerate(rows, 1):
         recent = rows[max(end - WINDOW, 0) : end]

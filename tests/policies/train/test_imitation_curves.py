@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from policies.report.figures import draw_imitation
+from policies.train.cards import write_card
 from policies.train.imitation.curves import WINDOW, read_runs
 
 
@@ -30,3 +31,11 @@ def test_rates_count_the_flights_of_a_window(tmp_path: Path) -> None:
 def test_other_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"holds no curve\.csv with timesteps"):
         read_runs({"none": tmp_path})
+
+
+def test_a_model_card_shows_the_curve(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "a", [(0, 0), (4, 2)])
+    card = {"method": "dagger", "training": {"alone_episodes": 4, "success_rate": 0.5}}
+    page = write_card(tmp_path, "mine", card, run / "curve.csv").read_text()
+    assert "- success rate of the flights alone in the last round: 0.5" in page and "(curve.png)" in page
+    assert (tmp_path / "curve.png").is_file()
