@@ -70,7 +70,9 @@ def _main() -> None:
     args = parser.parse_args()
     curves = read_runs(dict(args.runs))
     draw_imitation(curves, args.figure)
-    write_json(args.output, {"window": WINDOW, "curves": curves})
+    ends = [{"run": name, **rows[-1]} for name, rows in curves.items()]
+    table = [{"run": name, **{key: [row[key] for row in rows] for key in rows[0]}} for name, rows in curves.items()]
+    write_json(args.output, {"window": WINDOW, "rows": ends, "curves": table})
     print(args.output, args.figure)
 
 
