@@ -152,7 +152,7 @@ def draw_imitation(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path
     """Learning from a teacher: flights alone that arrive, over some rounds, with intervals, and the fit's error.
 
     Args:
-        curves: of `policies.train.imitation.curves.read_runs`.
+        curves: of `policies.train.imitation.lesson_curves.read_runs`.
         path: PNG to write.
     """
     figure, axes = _panels(1, 2)

@@ -9,9 +9,8 @@ from typing import Any
 
 from policies.report.figures import draw_curves, draw_imitation
 from policies.train.checkpoints import read_state
-from policies.train.curves import CURVE_FILE, read_curve
+from policies.train.curves import CURVE_FILE, add_rates, read_curve
 from policies.train.described import described
-from policies.train.imitation.curves import add_rates
 from policies.train.training import CARD_FILE, CONFIG_FILE, load_config
 from stair_env.common.files import atomic_path
 from stair_env.common.markdown import format_value, markdown_table

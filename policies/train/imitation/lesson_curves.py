@@ -1,19 +1,15 @@
 """Curves of several runs of learning from a teacher, side by side.
 
-`python -m policies.train.imitation.curves NAME=RUN... --output FILE.json --figure FILE.png` writes table and picture.
+`python -m policies.train.imitation.lesson_curves NAME=RUN... --output FILE.json --figure FILE.png` writes both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from policies.statistics import wilson_interval
-from policies.train.curves import CURVE_FILE, read_curve
-
-WINDOW = 3  # rounds of which flights are counted together: one holds some fifteen
-FIELDS = ("timesteps", "loss", "alone_episodes", "alone_successes", "wall_s")
+from policies.train.curves import ALONE_FIELDS, CURVE_FILE, WINDOW, add_rates, read_curve
 
 
 def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]:
@@ -23,8 +19,8 @@ def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]
         runs: folders that `stair-env train --teacher` wrote, by the name that they get.
 
     Returns:
-        By name, a row a round: FIELDS, and `alone_rate` with `alone_ci95`, the share of the flights alone that arrived
-        in this round and the WINDOW - 1 before it, None where there were none.
+        By name, a row a round: ALONE_FIELDS, and `alone_rate` with `alone_ci95`: the share of the flights alone that
+        arrived in this round and the WINDOW - 1 before it; None where there were none.
 
     Raises:
         ValueError: a folder holds no curve of this kind.
@@ -34,20 +30,9 @@ def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]
 
 def _read_run(run: Path) -> list[dict[str, Any]]:
     rows = read_curve(run / CURVE_FILE)
-    if not rows or any(field not in rows[0] for field in FIELDS):
-        raise ValueError(f"{run} holds no {CURVE_FILE} with {', '.join(FIELDS)}")
+    if not rows or any(field not in rows[0] for field in ALONE_FIELDS):
+        raise ValueError(f"{run} holds no {CURVE_FILE} with {', '.join(ALONE_FIELDS)}")
     return add_rates(rows)
-
-
-def add_rates(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """FIELDS of a curve's rows, with `alone_rate` and `alone_ci95` as `read_runs` returns them."""
-    read = []
-    for end, row in enumerate(rows, 1):
-        recent = rows[max(end - WINDOW, 0) : end]
-        flown, arrived = (int(sum(one[field] for one in recent)) for field in ("alone_episodes", "alone_successes"))
-        rate = {"alone_rate": arrived / flown, "alone_ci95": list(wilson_interval(arrived, flown))} if flown else {}
-        read.append({**{field: row[field] for field in FIELDS}, "alone_rate": None, "alone_ci95": None, **rate})
-    return read
 
 
 def _named(text: str) -> tuple[str, Path]:
@@ -62,7 +47,8 @@ def _main() -> None:
     from stair_env.common.files import write_json
 
     parser = argparse.ArgumentParser(
-        prog="python -m policies.train.imitation.curves", description="Curves of runs that learned from a teacher."
+        prog="python -m policies.train.imitation.lesson_curves",
+        description="Curves of runs that learned from a teacher.",
     )
     parser.add_argument("runs", nargs="+", type=_named, metavar="[NAME=]RUN")
     parser.add_argument("--output", type=Path, required=True, help="JSON file")

@@ -8,7 +8,8 @@ import pytest
 
 from policies.report.figures import draw_imitation
 from policies.train.cards import write_card
-from policies.train.imitation.curves import WINDOW, read_runs
+from policies.train.curves import WINDOW
+from policies.train.imitation.lesson_curves import read_runs
 
 
 def write_run(folder: Path, flights: list[tuple[int, int]]) -> Path:
