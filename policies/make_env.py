@@ -46,8 +46,8 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
 
     Args:
         env_id: a registered id.
-        env_kwargs: keyword arguments of the environment, and "memory": True for `policies.remembering`, "teacher": True
-            for `policies.teaching`.
+        env_kwargs: keyword arguments of the environment, and "memory": True for `policies.remembering`, "teacher": one
+            of `policies.teaching.TEACHERS`, or True for the gait.
         monitor: wrap in SB3's Monitor, which reports return and length of each episode in `info["episode"]`.
 
     Raises:
@@ -55,7 +55,7 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
         gymnasium.error.Error: unknown id.
     """
     arguments = dict(env_kwargs or {})
-    memory, teacher = arguments.pop("memory", False), arguments.pop("teacher", False)
+    memory, teacher = arguments.pop("memory", False), arguments.pop("teacher", None)
     env: gym.Env = CurriculumAccess(gym.make(env_id, disable_env_checker=True, **arguments))
     if memory:
         from policies.remembering import Remembering
@@ -64,7 +64,7 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
     if teacher:
         from policies.teaching import Teaching
 
-        env = Teaching(env)
+        env = Teaching(env, "gait" if teacher is True else teacher)
     if not monitor:
         return env
     from stable_baselines3.common.monitor import Monitor

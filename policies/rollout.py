@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.statistics import root_mean_square
+from stair_env.observation import STAIR_KEY
 from stair_env.task.block_error import block_error
 
 MM = 1000.0
@@ -166,7 +167,7 @@ class _Tally:
         if truth["valid"] < 0.5:
             return
         self.seen += 1
-        error = block_error(observation["stair"], truth)
+        error = block_error(observation[STAIR_KEY], truth) if STAIR_KEY in observation else None
         if error is None:
             return
         self.measured += 1

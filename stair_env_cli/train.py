@@ -48,9 +48,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--teacher",
-        choices=("gait",),
-        help="learn joint angles from the gait by DAgger; --set then takes fields of policies.train.imitation.dagger."
-        "ImitationConfig, and --timesteps is rounded up to whole rounds",
+        choices=("gait", "stance"),
+        help="learn joint angles by DAgger from the gait, or from the gait in a wider and lower stance; --set then "
+        "takes fields of policies.train.imitation.dagger.ImitationConfig, and --timesteps is rounded up to full rounds",
     )
     parser.add_argument(
         "--direction", choices=EPISODE_DIRECTIONS, default="both", help="walking direction (%(default)s)"
@@ -141,15 +141,16 @@ def _train_with_rllib(args: argparse.Namespace, config: Any) -> dict[str, Any]:
 
 def _imitate(args: argparse.Namespace) -> int:
     from policies.train.imitation import dagger
+    from policies.train.imitation.run_folder import CONFIG_FILE, FINAL_FOLDER
 
-    if args.resume and (args.output / dagger.CONFIG_FILE).exists():
+    if args.resume and (args.output / CONFIG_FILE).exists():
         config = dagger.load_config(args.output)
     else:
         kwargs = {"actuation": "joint", "actuator": "position", "spawn": "floor", **_env_kwargs(args)}
         kwargs.pop("curriculum", None)  # the teacher climbs from the start
         given = {"num_envs": args.num_envs, **args.set} if args.num_envs else args.set
         config = from_mapping("--set", dagger.ImitationConfig, given)
-        config = dataclasses.replace(config, env_kwargs=kwargs, seed=args.seed, vec_kind=args.vec)
+        config = dataclasses.replace(config, env_kwargs=kwargs, teacher=args.teacher, seed=args.seed, vec_kind=args.vec)
     if args.timesteps:
         config = dataclasses.replace(config, rounds=math.ceil(args.timesteps / config.steps_per_round))
     with progress_bar(config.rounds, "train", unit="round") as bar:
@@ -164,7 +165,7 @@ def _imitate(args: argparse.Namespace) -> int:
     alone = card["training"]["success_rate"]
     print(
         f"{card['timesteps']} steps, {alone:.0%} of the last flights alone climbed; policy in "
-        f"{args.output / dagger.FINAL_FOLDER}"
+        f"{args.output / FINAL_FOLDER}"
     )
     return 0
 

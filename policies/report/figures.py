@@ -148,6 +148,31 @@ def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | 
     _save(figure, path)
 
 
+def draw_imitation(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | str) -> None:
+    """Learning from a teacher: flights alone that arrive, over some rounds, with intervals, and the fit's error.
+
+    Args:
+        curves: of `policies.train.imitation.lesson_curves.read_runs`.
+        path: PNG to write.
+    """
+    figure, axes = _panels(1, 2)
+    for name, rows in curves.items():
+        steps = [row["timesteps"] / 1e3 for row in rows]
+        flown = [(row["timesteps"] / 1e3, row["alone_rate"], *row["alone_ci95"]) for row in rows if row["alone_ci95"]]
+        (line,) = axes[0, 1].plot(steps, [row["loss"] for row in rows], label=name, linewidth=1.2)
+        if flown:
+            at, rate, low, high = np.array(flown).T
+            axes[0, 0].plot(at, rate, label=name, linewidth=1.2, color=line.get_color())
+            axes[0, 0].fill_between(at, low, high, color=line.get_color(), alpha=0.1, linewidth=0)
+    for axis, label in zip(axes[0], ("flights alone that arrive", "error of the fit, in actions")):
+        axis.set_xlabel("thousand control steps")
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[0, 0].set_ylim(0.0, 1.02)
+    axes[0, 1].legend(fontsize=8)
+    _save(figure, path)
+
+
 def _panels(rows: int, columns: int, inches: tuple[float, float] = PANEL_INCHES) -> tuple[Figure, np.ndarray]:
     """A figure without a display, and its axes as a 2-D array."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

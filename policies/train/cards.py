@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from policies.report.figures import draw_curves
+from policies.report.figures import draw_curves, draw_imitation
 from policies.train.checkpoints import read_state
-from policies.train.curves import CURVE_FILE, read_curve
+from policies.train.curves import CURVE_FILE, add_rates, read_curve
 from policies.train.described import described
 from policies.train.training import CARD_FILE, CONFIG_FILE, load_config
 from stair_env.common.files import atomic_path, read_json_object
@@ -77,7 +77,10 @@ def write_card(
     parts = [f"# {name}\n", _training(card)]
     rows = read_curve(curve_file) if curve_file else []
     if rows:
-        draw_curves({name: rows}, folder / CURVE_PICTURE)
+        if "alone_episodes" in rows[0]:
+            draw_imitation({name: add_rates(rows)}, folder / CURVE_PICTURE)
+        else:
+            draw_curves({name: rows}, folder / CURVE_PICTURE)
         parts.append(f"![Learning curve]({CURVE_PICTURE})\n")
     parts.extend(_evaluation(path) for path in evaluations)
     target = folder / PAGE_FILE
@@ -96,7 +99,9 @@ def _training(card: Mapping[str, Any]) -> str:
         "hyperparameters": json.dumps(card.get("hyperparams", {})),
         "environment steps": card.get("timesteps"),
         "wall time, s": training.get("wall_s"),
-        "success rate of the last 100 training episodes": training.get("success_rate"),
+        "success rate of the flights alone in the last round"
+        if "alone_episodes" in training
+        else "success rate of the last 100 training episodes": training.get("success_rate"),
         "curriculum level at the end, mean over environments": training.get("level_mean"),
         "seed": card.get("seed"),
         "commit": card.get("commit"),

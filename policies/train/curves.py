@@ -7,10 +7,11 @@ it.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from policies.statistics import wilson_interval
 from stair_env.common.files import read_json_object
 
 CURVE_FILE = "curve.csv"
@@ -27,6 +28,8 @@ CURVE_FIELDS = (
     *LOGGED,
 )
 COMPARED = ("timesteps", "return_mean", "success_rate", "level_mean")
+ALONE_FIELDS = ("timesteps", "loss", "alone_episodes", "alone_successes", "wall_s")  # of policies.train.imitation
+WINDOW = 3  # of its rounds, in which flights are counted together: one holds some fifteen
 SHARED = ("algorithm", "env_id", "env_kwargs", "hyperparams", "total_timesteps", "num_envs")
 
 
@@ -39,6 +42,24 @@ def read_curve(path: Path | str) -> list[dict[str, Any]]:
             {name: float(value) if value not in ("", None) else "" for name, value in row.items()}
             for row in csv.DictReader(file)
         ]
+
+
+def add_rates(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return ALONE_FIELDS of a curve's rows, and the share of the flights alone that arrived.
+
+    Args:
+        rows: a row a round of learning from a teacher.
+
+    Returns:
+        Rows with `alone_rate` and `alone_ci95` too, of this round and the WINDOW - 1 before it; None without flights.
+    """
+    read = []
+    for end, row in enumerate(rows, 1):
+        recent = rows[max(end - WINDOW, 0) : end]
+        flown, arrived = (int(sum(one[field] for one in recent)) for field in ("alone_episodes", "alone_successes"))
+        rate = {"alone_rate": arrived / flown, "alone_ci95": list(wilson_interval(arrived, flown))} if flown else {}
+        read.append({**{field: row[field] for field in ALONE_FIELDS}, "alone_rate": None, "alone_ci95": None, **rate})
+    return read
 
 
 def compare_runs(runs: Iterable[Path | str]) -> dict[str, Any]:

@@ -7,14 +7,12 @@ actor-critic policy, is fitted to all the advice so far. What comes out is a PPO
 --start-from` goes on with.
 
 A run's folder holds `config.json`, `rounds/` (each round's observations and advice), `curve.csv` (one row a round),
-`checkpoints/` and at the end `final/`.
+`checkpoints/` and at the end `final/`. `cpu_s` in the curve is the time of this process, without workers.
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import json
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -28,8 +26,19 @@ from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
 from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
+from policies.train.imitation.run_folder import (
+    CARD_FILE,
+    CHECKPOINT_FOLDER,
+    CONFIG_FILE,
+    FINAL_FOLDER,
+    Samples,
+    read_curve,
+    read_rounds,
+    write_curve,
+    write_round,
+)
 from stair_env.common.field_kinds import naming_fields
-from stair_env.common.files import atomic_path, provenance, read_json_object, write_json
+from stair_env.common.files import provenance, read_json_object, write_json
 from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
 
 if TYPE_CHECKING:
@@ -39,8 +48,6 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger(__name__)
 
-CONFIG_FILE, CARD_FILE, CURVE_FILE = "config.json", "card.json", "curve.csv"
-FINAL_FOLDER, CHECKPOINT_FOLDER, ROUND_FOLDER = "final", "checkpoints", "rounds"
 LOG_STD_INIT = -3.0  # of the student's exploration, should PPO go on: exp(-3) = 0.05 of the action scale
 NOISE_MEMORY = 0.9  # share of the teacher's noise that lasts into the next control step; white noise makes feet slip
 GAMMA = 0.99
@@ -53,6 +60,7 @@ class ImitationConfig:
 
     Args:
         env_kwargs: keyword arguments of the environment, JSON-able; actuation="joint".
+        teacher: one of `policies.teaching.TEACHERS`.
         rounds: how many times to collect and fit.
         steps_per_round: control steps over all environments.
         num_envs: parallel environments.
@@ -76,6 +84,7 @@ class ImitationConfig:
     """
 
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    teacher: str = "gait"
     rounds: int = 24
     steps_per_round: int = 10_240
     num_envs: int = 10
@@ -101,7 +110,6 @@ class ImitationConfig:
             raise ValueError(f"alone_share={self.alone_share!r} must lie in 0..1")
 
 
-Samples = dict[str, np.ndarray]  # observation parts by key, and TEACHER_KEY: float32, a row a control step
 Lesson = tuple["torch.Tensor", "torch.Tensor"]  # features (n, features_dim) and advice (n, action size)
 
 
@@ -132,17 +140,17 @@ def imitate(
     if (folder / CONFIG_FILE).exists() and not resume:
         raise ValueError(f"{folder} already holds a run: resume it or choose another folder")
     torch.set_num_threads(1)
-    kwargs = {"memory": True, "teacher": True, "max_episode_steps": config.episode_steps, **config.env_kwargs}
+    kwargs = {"memory": True, "teacher": config.teacher, "max_episode_steps": config.episode_steps, **config.env_kwargs}
     venv = make_vec_env(CLIMB_ID, config.num_envs, kwargs, seed=config.seed, kind=config.vec_kind)
     try:
         write_json(folder / CONFIG_FILE, dataclasses.asdict(config), seed=config.seed)
         saved = checkpoints.list_checkpoints(folder / CHECKPOINT_FOLDER) if resume else []
         model = _load_model(venv, saved[-1]) if saved else _new_model(config, venv)
         done = checkpoints.read_state(saved[-1])["num_timesteps"] // _steps(config) if saved else 0
-        lessons = [read_lesson(model, _read_round(folder, number)) for number in range(done)]
-        curve: list[dict[str, Any]] = _read_curve(folder)[:done]
+        lessons = [read_lesson(model, samples) for samples in read_rounds(folder, done)]
+        curve: list[dict[str, Any]] = read_curve(folder)[:done]
         for number in range(done, config.rounds):
-            begun = time.monotonic()
+            start, cpu_start = time.monotonic(), time.process_time()
             venv.seed(config.seed + 100_000 * number)  # resumed or not, a round walks the same episodes
             rng = np.random.default_rng([config.seed, number])
             samples, walked = collect(config, model, number, rng)
@@ -153,11 +161,12 @@ def imitate(
             loss = fit(model, lessons, updates, config, rng)
             model.num_timesteps += _steps(config)
             row = {"round": number, "timesteps": model.num_timesteps, "loss": loss, **walked}
-            row["wall_s"] = round(time.monotonic() - begun + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            row["wall_s"] = round(time.monotonic() - start + (curve[-1]["wall_s"] if curve else 0.0), 1)
+            row["cpu_s"] = round(time.process_time() - cpu_start + (curve[-1].get("cpu_s", 0.0) if curve else 0.0), 1)
             row["success_rate"] = _rate(row)
             curve.append(row)
-            _write_round(folder, number, samples)
-            _write_curve(folder, curve)
+            write_round(folder, number, samples)
+            write_curve(folder, curve)
             checkpoints.save_checkpoint(model, folder / CHECKPOINT_FOLDER)
             if on_round:
                 on_round(row)
@@ -341,36 +350,6 @@ def _fix_normalisation(model: PPO, samples: Samples) -> None:
         statistics.mean = samples[key].mean(axis=0, dtype=np.float64)
         statistics.var = samples[key].var(axis=0, dtype=np.float64) + 1e-4  # what did not vary tells nothing
         statistics.count = float(len(samples[key]))
-
-
-def _round_file(folder: Path, number: int) -> Path:
-    return folder / ROUND_FOLDER / f"round_{number:03d}.npz"
-
-
-def _write_round(folder: Path, number: int, samples: Samples) -> None:
-    path = _round_file(folder, number)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **samples)  # type: ignore[arg-type]
-
-
-def _read_round(folder: Path, number: int) -> Samples:
-    with np.load(_round_file(folder, number)) as stored:
-        return {key: stored[key] for key in stored.files}
-
-
-def _write_curve(folder: Path, rows: list[dict[str, Any]]) -> None:
-    with atomic_path(folder / CURVE_FILE) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def _read_curve(folder: Path) -> list[dict[str, Any]]:
-    if not (folder / CURVE_FILE).exists():
-        return []
-    with (folder / CURVE_FILE).open(newline="", encoding="utf-8") as file:
-        return [{name: json.loads(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
 def _finish(config: ImitationConfig, model: PPO, folder: Path, last: dict[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,6 @@ _SIGNS = {
     "angular_velocity": np.array([-1.0, 1.0, -1.0]),  # a pseudovector
     "velocity": np.array([1.0, -1.0, 1.0]),
     "yaw_rate": np.array([-1.0]),
-    "phase": np.ones(2),
 }
 
 
@@ -39,6 +38,8 @@ def mirror_observation(observation: Mapping[str, np.ndarray]) -> dict[str, np.nd
 
 
 def _mirror_field(name: str, values: np.ndarray) -> np.ndarray:
+    if name == "phase":  # of a trot's clock: the other legs swing half a cycle later; always (0, 1) without a clock
+        return -values if values[..., 0].any() else values
     if name in _SIGNS:
         return values * _SIGNS[name].astype(values.dtype)
     return mirror_joints(values) if values.shape[-1] == NUM_JOINTS else values[..., OTHER_LEG]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 
 from policies.make_env import CLIMB_ID, make_env
 from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
@@ -14,16 +17,17 @@ from stair_env.robots import ROBOTS
 KWARGS = {"actuation": "joint", "actuator": "position", "memory": True}
 
 
-def walk() -> dict[str, np.ndarray]:
-    env = make_env(CLIMB_ID, KWARGS)
+def walk(**more: Any) -> dict[str, np.ndarray]:
+    env = make_env(CLIMB_ID, {**KWARGS, **more})
     env.action_space.seed(0)
     seen = [env.reset(seed=0)[0]] + [env.step(0.1 * env.action_space.sample())[0] for _ in range(30)]
     env.close()
     return {key: np.stack([observation[key] for observation in seen]) for key in seen[0]}
 
 
-def test_twice_is_once() -> None:
-    seen = walk()
+@pytest.mark.parametrize("actuation", ["joint", {"clock_hz": 4.0}])
+def test_twice_is_once(actuation: Any) -> None:
+    seen = walk(actuation=actuation)
     mirrored = mirror_observation(seen)
     again = mirror_observation(mirrored)
     assert all(np.array_equal(again[key], seen[key]) for key in seen)
@@ -35,6 +39,13 @@ def test_feet_are_mirrored() -> None:
     joints = walk()["proprio"][-1, PROPRIO_SLICES["joint_position"]].astype(np.float64)
     feet, mirrored = kinematics.foot_positions(joints), kinematics.foot_positions(mirror_joints(joints))
     assert np.allclose(mirrored, feet[[1, 0, 3, 2]] * [1, -1, 1], atol=1e-6)
+
+
+def test_the_mirrored_clock_is_half_a_cycle_away() -> None:
+    phase = PROPRIO_SLICES["phase"]
+    for actuation, sign in (("joint", 1.0), ({"clock_hz": 4.0}, -1.0)):
+        seen = walk(actuation=actuation)
+        assert np.array_equal(mirror_observation(seen)["proprio"][:, phase], sign * seen["proprio"][:, phase])
 
 
 def test_an_episode_has_begun_when_its_longest_memory_has() -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from policies import pretrained
 from policies.make_env import CLIMB_ID
-from policies.train.warm_start import STANCES, Stance, returns_to_go, stance_actions, warm_start
+from policies.stances import STANCES, Stance, stance_actions
+from policies.train.warm_start import returns_to_go, warm_start
 from stair_env.observation import PROPRIO_SIZE, PROPRIO_SLICES, STAIR_FIELDS
 
 
