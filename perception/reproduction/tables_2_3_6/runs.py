@@ -26,6 +26,7 @@ from perception.reproduction.baselines.baseline_training import (
     stairnet_arrays,
 )
 from perception.reproduction.baselines.other_fusions import ConcatenatingStairNet, FourChannelStairNet
+from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import atomic_path, read_json_object
 
 VALIDATION_FRAMES = 16  # after each epoch: enough for the sign of equations 5 and 6, and cheap beside the epoch
@@ -117,6 +118,7 @@ class Run:
     data: Path
     folder: Path
 
+    @naming_fields
     def __post_init__(self) -> None:
         if self.row not in LEARNED_ROWS:
             raise ValueError(f"row={self.row!r} must be one of {', '.join(LEARNED_ROWS)}")
