@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from perception.network import StairNetV2
 
 MAX_BATCH = 8  # frames that torch runs at once: larger batches only push intermediate results out of the cache
-PROVIDERS = {"onnx-cuda": "CUDAExecutionProvider", "onnx-tensorrt": "TensorrtExecutionProvider"}  # ONNX Runtime's names
 
 
 class OnnxBackend:
@@ -319,7 +318,7 @@ def make_exported_backend(name: str, path: str | Path, threads: int | None = Non
     """
     check_choice("backend", name, EXPORTED_BACKENDS)
     if name in GPU_BACKENDS:
-        from perception.inference.graphics_card import GraphicsCardBackend
+        from perception.inference.graphics_card import PROVIDERS, GraphicsCardBackend
 
         return GraphicsCardBackend(path, PROVIDERS[name])
     return (OnnxBackend if name == "onnx" else OpenVinoBackend)(path=path, threads=threads)

@@ -18,10 +18,11 @@ from perception.inference.weights import WeightsError
 from stair_env.common.constants import IMAGE_SIZE
 from stair_env.common.importing.extras import naming_extras
 
-MAX_BATCH = 32  # frames that run at once: 0.3 GB of activations at width 1
+MAX_BATCH = 32  # frames that run at once
 TENSORRT = "TensorrtExecutionProvider"
 CPU = "CPUExecutionProvider"
 CUDA = "CUDAExecutionProvider"
+PROVIDERS = {"onnx-cuda": CUDA, "onnx-tensorrt": TENSORRT}  # by the name of the back end
 CACHE_VARIABLE = "STAIR_ENV_TENSORRT_CACHE"  # folder in which TensorRT's engines are kept between runs
 
 

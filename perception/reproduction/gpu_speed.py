@@ -18,7 +18,7 @@ import torch
 from perception.inference.backends import Backend, BackendError, make_backend
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, total_loss
 from perception.network import StairNetV2
-from stair_env.common.constants import GPU_BACKENDS, IMAGE_SIZE
+from stair_env.common.constants import GPU_BACKENDS, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
 
 PROCESSOR = "onnx"  # what the cards are compared with
 BATCHES = (1, 8, 32)
@@ -137,7 +137,7 @@ def _training_step_ms(width: float, rounds: int) -> float:
     network = StairNetV2(width).train().cuda()
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-4)
     rgb, depth = (torch.randn(TRAINING_BATCH, channels, IMAGE_SIZE, IMAGE_SIZE, device="cuda") for channels in (3, 1))
-    grids = [torch.rand(TRAINING_BATCH, channels, 32, 16, device="cuda") for channels in (1, 8)]
+    grids = [torch.rand(TRAINING_BATCH, channels, GRID_ROWS, GRID_COLUMNS, device="cuda") for channels in (1, 8)]
     targets = GridTargets(grids[0].round(), grids[1])
     seconds = []
     for _ in range(rounds + 1):

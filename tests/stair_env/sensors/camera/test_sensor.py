@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stair_env.common.transforms import look_at
+from stair_env.common.transforms import look_along, look_at
 from stair_env.intrinsics import D435I_COLOR_MODES
 from stair_env.scene.spec import Scene, SceneSpec
 from stair_env.sensors.camera.colour_error import ColourErrorConfig
@@ -43,11 +43,7 @@ class FloorRenderer:
 
 def pose_at(x=0.0, height=0.6, pitch_down=0.5):
     """Camera that looks along world x and down."""
-    level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    pose = np.eye(4)
-    pose[:3, :3] = level @ Rotation.from_euler("x", -pitch_down).as_matrix()
-    pose[:3, 3] = (x, 0.0, height)
-    return pose
+    return look_along(np.array([x, 0.0, height]), 0.0, pitch_down, 0.0)
 
 
 def camera(seed=0, **options):
