@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from perception.vector_wrapper import PerceptionVectorWrapper
 from perception.wrapper import PerceptionWrapper
 from stair_env.common.validation import SpecError
 from stair_env.rgbd import StairClimbRgbdEnv
-from stair_env.vector import make_rgbd_vec
+from stair_env.vector import WorkerVectorEnv, make_rgbd_vec
 
 
 def make_perception_env(estimator: dict[str, Any] | None = None, **kwargs: Any) -> PerceptionWrapper:
@@ -42,21 +44,42 @@ def make_perception_vec(
         ValueError: an argument is wrong; the message names it, its value and the choices.
         WorkerError: the workers could not be started.
     """
+    return perceive_vector(functools.partial(_rgbd_vec, num_envs), {"estimator": estimator, **kwargs})
+
+
+def perceive_vector(
+    make_vector: Callable[[dict[str, Any]], WorkerVectorEnv], kwargs: Mapping[str, Any]
+) -> PerceptionVectorWrapper:
+    """Put the network before a vector of RGBD environments.
+
+    Args:
+        make_vector: builds it from the keyword arguments of `StairClimbRGBD-v0`.
+        kwargs: keyword arguments of `StairClimbPerception-v0`.
+
+    Raises:
+        ValueError: an argument is wrong; the message names it, its value and the choices.
+        WorkerError: the workers could not be started.
+    """
     from perception.estimator import StairEstimator
 
     _check_source(kwargs)
-    vector = make_rgbd_vec(num_envs, **{**kwargs, "stair_source": "external"})
+    own = {name: value for name, value in kwargs.items() if name != "estimator"}
+    vector = make_vector({**own, "stair_source": "external"})
     try:
         robot, intrinsics = vector.get_attr("robot")[0], vector.get_attr("camera_intrinsics")[0]
         return PerceptionVectorWrapper(
-            vector, robot, intrinsics, StairEstimator(**{"refine_gravity": False, **(estimator or {})})
+            vector, robot, intrinsics, StairEstimator(**{"refine_gravity": False, **(kwargs.get("estimator") or {})})
         )
     except BaseException:
         vector.close()
         raise
 
 
-def _check_source(kwargs: dict[str, Any]) -> None:
+def _rgbd_vec(num_envs: int, kwargs: dict[str, Any]) -> WorkerVectorEnv:
+    return make_rgbd_vec(num_envs, **kwargs)
+
+
+def _check_source(kwargs: Mapping[str, Any]) -> None:
     """Refuse a stair source that the camera would stand in for."""
     if kwargs.get("stair_source", "external") != "external":
         raise SpecError(

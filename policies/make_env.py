@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 CLIMB_ID = "stair_env/StairClimb-v0"
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
+RGBD_ID = "stair_env/StairClimbRGBD-v0"
 ENV_IDS = (CLIMB_ID, PERCEPTION_ID)
+WRAPPING_KEYWORDS = frozenset({"memory", "teacher"})  # of `make_env`: wrappers that read the stair block in the worker
 NORMALISED_KEYS = ("proprio", PRIVILEGED_KEY)
 _PRELOADED = ["stable_baselines3.common.vec_env.subproc_vec_env", "policies.make_env"]
 
@@ -90,8 +92,9 @@ def make_vec_env(
         env_kwargs: keyword arguments, the same for each.
         seed: environment i is seeded with seed + i at its first reset.
         kind: "subproc" (one process each, started safely from a thread-free server), "dummy" (this process), "workers"
-            (one process per core, each with its share of the environments; without cameras this process is one of them;
-            see `stair_env.vector`) or "auto" ("workers" on several cores, else "dummy").
+            (one process per core, each with its share of the environments; without cameras this process is one of them,
+            with cameras the frames of all go through the network here, in one batch; see `stair_env.vector`) or "auto"
+            ("workers" on several cores, else "dummy").
 
     Raises:
         ValueError: wrong kind or count, or a keyword argument of the environment is wrong.
@@ -107,7 +110,7 @@ def make_vec_env(
     venv: VecEnv
     factory = functools.partial(make_env, env_id, dict(env_kwargs or {}))
     if kind == "workers":
-        venv = _make_worker_env(functools.partial(factory, monitor=False), num_envs, caller_steps=env_id == CLIMB_ID)
+        venv = _make_worker_env(env_id, num_envs, dict(env_kwargs or {}))
         venv.seed(seed)
         return venv
     factory().close()  # a wrong argument is reported here, in one piece, and not by a dying worker
@@ -119,14 +122,23 @@ def make_vec_env(
     return venv
 
 
-def _make_worker_env(factory: Callable[[], gym.Env], num_envs: int, caller_steps: bool) -> VecEnv:
+def _make_worker_env(env_id: str, num_envs: int, env_kwargs: dict[str, Any]) -> VecEnv:
     from stable_baselines3.common.vec_env import VecMonitor
 
-    from policies.vec_adapter import StairSb3VecEnv
+    from policies.vec_adapter import StairSb3VecEnv, WrappedSb3VecEnv
     from stair_env.vector import WorkerVectorEnv
 
-    vector = WorkerVectorEnv([factory] * num_envs, autoreset_mode="SameStep", caller_steps=caller_steps)
-    return VecMonitor(StairSb3VecEnv(vector))
+    def vector_of(factory_id: str, kwargs: dict[str, Any]) -> WorkerVectorEnv:
+        factory = functools.partial(make_env, factory_id, kwargs, monitor=False)
+        return WorkerVectorEnv(
+            [factory] * num_envs, autoreset_mode="SameStep", caller_steps=env_id == CLIMB_ID, copy=False
+        )
+
+    if env_id != PERCEPTION_ID or env_kwargs.keys() & WRAPPING_KEYWORDS:
+        return VecMonitor(StairSb3VecEnv(vector_of(env_id, env_kwargs)))
+    from perception.gym_entry_points import perceive_vector
+
+    return VecMonitor(WrappedSb3VecEnv(perceive_vector(functools.partial(vector_of, RGBD_ID), env_kwargs)))
 
 
 def _prepared_start_method() -> str:

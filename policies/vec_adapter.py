@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 
 from stair_env.common.importing.extras import naming_extras
 from stair_env.vector import WorkerVectorEnv
@@ -109,3 +109,79 @@ class StairSb3VecEnv(VecEnv):
 
     def _observation(self) -> dict[str, np.ndarray]:
         return {key: value.copy() for key, value in self._pool.observation.items()}
+
+
+class WrappedSb3VecEnv(StairSb3VecEnv):
+    """The same for a `WorkerVectorEnv` within vector wrappers, as `perception.vector_wrapper.PerceptionVectorWrapper`.
+
+    Seeds may differ between the environments, options of a reset may not.
+
+    Args:
+        wrapped: vector wrappers around a `WorkerVectorEnv` with autoreset_mode="SameStep"; closed with this.
+
+    Raises:
+        ValueError: another vector within, or another autoreset mode.
+    """
+
+    def __init__(self, wrapped: VectorWrapper[Any, Any, Any]) -> None:
+        if not isinstance(wrapped.unwrapped, WorkerVectorEnv):
+            raise ValueError(f"{wrapped} wraps a {type(wrapped.unwrapped).__name__}, must wrap a WorkerVectorEnv")
+        super().__init__(wrapped.unwrapped)
+        self.wrapped = wrapped
+        self.observation_space, self.action_space = wrapped.single_observation_space, wrapped.single_action_space
+        self._actions = np.zeros(wrapped.action_space.shape or (), np.float32)
+
+    def reset(self) -> VecEnvObs:
+        """Begin an episode everywhere, with the seeds and options that were set; both are used once.
+
+        Raises:
+            ValueError: the environments were given different options.
+        """
+        options = self._options[0]
+        if any(other != options for other in self._options):
+            raise ValueError(f"options {self._options!r} must be the same for every environment of a wrapped vector")
+        vector: Any = self.wrapped  # its annotation knows no list of seeds, its code does
+        observations, infos = vector.reset(seed=list(self._seeds), options=options or None)
+        self.reset_infos = [one_info(infos, index) for index in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return _copied(observations)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Remember the actions (num_envs, action size); `step_wait` takes the step."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Observations by key, rewards float32 (num_envs,), dones bool (num_envs,), one info each."""
+        observations, rewards, terminated, truncated, batch = self.wrapped.step(self._actions)
+        infos: list[dict[str, Any]] = []
+        for index in range(self.num_envs):
+            info = one_info(batch, index)
+            final_observation, final_info = info.pop("final_obs", None), info.pop("final_info", None)
+            if final_info is not None:
+                self.reset_infos[index] = info
+                info = {**final_info, "terminal_observation": final_observation}
+            info["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
+            infos.append(info)
+        return _copied(observations), rewards.astype(np.float32), terminated | truncated, infos
+
+    def close(self) -> None:
+        """End the workers and what the wrappers hold; safe to call twice."""
+        self.wrapped.close()
+
+
+def _copied(observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """SB3 keeps an observation beyond the next step, which overwrites shared memory."""
+    return {key: np.array(value) for key, value in observations.items()}
+
+
+def one_info(batch: dict[str, Any], index: int) -> dict[str, Any]:
+    """One environment's infos out of those that Gymnasium's vector environments batch."""
+    info: dict[str, Any] = {}
+    for key, mask in batch.items():
+        name = key[1:]
+        if key.startswith("_") and name in batch and mask[index]:
+            column = batch[name]
+            value = one_info(column, index) if isinstance(column, dict) else column[index]
+            info[name] = value.item() if isinstance(value, np.generic) else value
+    return info

@@ -14,9 +14,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from policies.make_env import CLIMB_ID, CurriculumAccess, make_vec_env
+from policies.make_env import CLIMB_ID, PERCEPTION_ID, CurriculumAccess, make_vec_env
 from policies.train.checkpoints import curriculum_states, restore_curriculum
-from policies.vec_adapter import StairSb3VecEnv
+from policies.vec_adapter import StairSb3VecEnv, WrappedSb3VecEnv
 from stair_env.task.curriculum import Curriculum, CurriculumConfig
 from stair_env.vector import WorkerVectorEnv
 
@@ -75,6 +75,66 @@ def test_is_sb3s_own_vector(ours: StairSb3VecEnv) -> None:
         ends += int(dones.sum())
         cut += sum(info["TimeLimit.truncated"] for info in infos)
     assert 0 < cut < ends
+
+
+class Doubled(gym.vector.VectorWrapper):
+    """A vector wrapper that changes what is observed."""
+
+    def __init__(self, env: WorkerVectorEnv) -> None:
+        super().__init__(env)
+        self.autoreset_mode = env.autoreset_mode
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return {"x": 2.0 * observations["x"]}, infos
+
+    def step(self, actions: np.ndarray) -> Any:
+        observations, *rest = self.env.step(actions)
+        return {"x": 2.0 * observations["x"]}, *rest
+
+
+def test_a_wrapped_vector_says_what_the_vector_says(ours: StairSb3VecEnv) -> None:
+    vector = WorkerVectorEnv([make_walk] * 3, autoreset_mode="SameStep", workers=1, context="fork", copy=False)
+    wrapped = WrappedSb3VecEnv(Doubled(vector))
+    for venv in (ours, wrapped):
+        venv.seed(5)
+        venv.set_options({"x": 0.5})
+    np.testing.assert_array_equal(wrapped.reset()["x"], 2.0 * ours.reset()["x"])
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(40):
+        actions = rng.uniform(-0.6, 0.6, (3, 1)).astype(np.float32)
+        (x, rewards, dones, infos), wanted = wrapped.step(actions), ours.step(actions)
+        np.testing.assert_array_equal(x["x"], 2.0 * wanted[0]["x"])
+        np.testing.assert_array_equal(rewards, wanted[1])
+        np.testing.assert_array_equal(dones, wanted[2])
+        assert infos == wanted[3] and wrapped.reset_infos == ours.reset_infos
+        ends += int(dones.sum())
+    assert ends and wrapped.env_is_wrapped(CurriculumAccess) == [True] * 3
+    wrapped.set_options([{"x": 0.1}, {"x": 0.2}, {"x": 0.1}])
+    with pytest.raises(ValueError, match="must be the same for every environment"):
+        wrapped.reset()
+    wrapped.close()
+
+
+def test_the_cameras_of_all_environments_share_a_batch() -> None:
+    """What PPO collects with one network here equals what each environment's own network brings, but for rounding."""
+    kwargs = {"camera": {"width": 160}, "num_steps": 3, "max_episode_steps": 7}
+    ours = make_vec_env(PERCEPTION_ID, 2, kwargs, seed=4, kind="workers")
+    theirs = make_vec_env(PERCEPTION_ID, 2, kwargs, seed=4, kind="dummy")
+    assert isinstance(ours.venv, WrappedSb3VecEnv)  # type: ignore[attr-defined]
+    assert ours.observation_space == theirs.observation_space
+    first, wanted = ours.reset(), theirs.reset()
+    np.testing.assert_array_equal(first["proprio"], wanted["proprio"])
+    np.testing.assert_allclose(first["stair"], wanted["stair"], atol=1e-3)
+    for _ in range(10):
+        actions = np.zeros((2, 16), np.float32)
+        (observation, _, dones, infos), (expected, _, ends, theirs_infos) = ours.step(actions), theirs.step(actions)
+        np.testing.assert_allclose(observation["stair"], expected["stair"], atol=1e-3)
+        np.testing.assert_array_equal(dones, ends)
+        for mine, yours in zip(infos, theirs_infos):
+            assert ("terminal_observation" in mine) == ("terminal_observation" in yours)
+            assert mine["camera"] == yours["camera"] and mine.keys() == yours.keys()
+    ours.close(), theirs.close()
 
 
 def test_curriculum_goes_through(ours: StairSb3VecEnv) -> None:
