@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stair_env.common.constants import LIGHTING_CHOICES
+from stair_env.common.constants import LIGHTING_CHOICES, SCENE_DIRECTIONS
 from stair_env_cli.arguments import (
     add_common_arguments,
     add_engine_arguments,
@@ -38,6 +38,16 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--lighting", choices=LIGHTING_CHOICES, default="random", help="light of the scenes (%(default)s)"
     )
+    parser.add_argument(
+        "--direction", choices=SCENE_DIRECTIONS, default="any", help="where the stairs lead (%(default)s)"
+    )
+    parser.add_argument(
+        "--robot-share",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="of the viewpoints on a robot's head, the others are hand-held (%(default)s)",
+    )
     parser.add_argument("--ideal", action="store_true", help="leave out the errors of a D435i")
     parser.add_argument(
         "--stereo",
@@ -66,8 +76,15 @@ def run(args: argparse.Namespace) -> int:
     from perception.data.writer import DatasetPlan, complete, missing_frames, write_missing
     from stair_env.sampling import SceneSampler
 
-    sampler = SceneSampler(negatives=args.negatives, lighting=args.lighting, clutter=CLUTTER_SHARE)
-    config = FrameConfig(sampler=sampler, sensor_errors=not args.ideal, stereo_variants=args.stereo)
+    sampler = SceneSampler(
+        direction=args.direction, negatives=args.negatives, lighting=args.lighting, clutter=CLUTTER_SHARE
+    )
+    config = FrameConfig(
+        sampler=sampler,
+        robot_share=args.robot_share,
+        sensor_errors=not args.ideal,
+        stereo_variants=args.stereo,
+    )
     plan = DatasetPlan(
         args.output,
         {"train": args.train // 2, "val": args.val // 2, "test": args.test // 2},

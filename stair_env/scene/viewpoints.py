@@ -24,6 +24,13 @@ STANDING_SHARE = 0.3  # of the hand-held viewpoints: eye height, far enough for 
 STANDING_HEIGHT_M = (1.4, 1.75)
 STANDING_DISTANCE_M = (1.0, 5.0)
 STANDING_PITCH_RAD = {"up": (math.radians(-25.0), math.radians(20.0)), "down": (math.radians(10.0), math.radians(45.0))}
+OVERLOOK_SHARE = 0.6  # of the hand-held viewpoints before a flight down: high enough to look over its first nosings
+OVERLOOK_DISTANCE_M = (0.3, 2.0)
+OVERLOOK_YAW_RAD = math.radians(25.0)
+OVERLOOK_HEIGHT_M = (0.4, 2.0)
+OVERLOOK_STEEPNESS = (1.1, 3.0)  # of the line of sight to the first nosing, in slopes of the flight
+OVERLOOK_AIM = 0.7  # of the flight's length, from the first nosing on: where such a camera may point
+OVERLOOK_PITCH_STD_RAD = math.radians(6.0)
 BESIDE_SHARE = 0.15  # of the hand-held viewpoints: from beside the flight, across it
 BESIDE_DISTANCE_M = (0.3, 1.8)
 BESIDE_YAW_RAD = (math.radians(15.0), math.radians(72.0))  # beyond, lines run along the line of sight
@@ -62,9 +69,10 @@ def sample_camera_pose(
     else:
         wanted = int(rng.choice(WANTED_LINES, p=WANTED_SHARES))
     style = "robot" if rng.random() < robot_share else _hand_held_style(scene_spec, rng)
+    draw = {"beside": _from_beside, "overlook": _from_above}.get(style)
     best, best_count = None, -1
     for _ in range(MAX_TRIES):
-        pose = _from_beside(scene_spec, rng) if style == "beside" else _draw_pose(stairs, style, rng)
+        pose = _draw_pose(stairs, style, rng) if draw is None else draw(scene_spec, rng)
         if min_clearance(built.shapes, pose[:3, 3]) < CLEARANCE_M:
             continue
         if stairs is None:
@@ -79,7 +87,10 @@ def sample_camera_pose(
 
 
 def _hand_held_style(scene_spec: SceneSpec, rng: np.random.Generator) -> str:
-    """ "hand" at any height, "standing" person, or "beside" the flight where there is room for it."""
+    """ "hand" at any height, "standing" person, "overlook"ing a flight down, or "beside" one that has room there."""
+    stairs = scene_spec.stairs
+    if stairs is not None and stairs.direction == "down" and rng.random() < OVERLOOK_SHARE:
+        return "overlook"
     chance = rng.random()
     if chance < STANDING_SHARE:
         return "standing"
@@ -115,6 +126,23 @@ def _from_beside(scene_spec: SceneSpec, rng: np.random.Generator) -> np.ndarray:
     pitch = math.atan2(z - target_z, math.hypot(target_x - x, y)) + float(rng.normal(0.0, math.radians(6.0)))
     roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
     return look_along(np.array([x, side * y, z]), -side * yaw, pitch, roll)
+
+
+def _from_above(scene_spec: SceneSpec, rng: np.random.Generator) -> np.ndarray:
+    """Before a flight down, so high that nosings do not hide each other."""
+    stairs = scene_spec.stairs
+    assert stairs is not None
+    profile = stairs.profile()
+    floor, distance = float(profile.level_z[0]), float(rng.uniform(*OVERLOOK_DISTANCE_M))
+    steep = float(rng.uniform(*OVERLOOK_STEEPNESS)) * math.tan(stairs.slope_rad)
+    height = float(np.clip(steep * distance, *OVERLOOK_HEIGHT_M))
+    target_x = float(rng.uniform(0.0, OVERLOOK_AIM)) * float(profile.edge_x[-1])
+    drop = height + floor - float(profile.height_at(target_x))
+    pitch = math.atan2(drop, distance + target_x) + float(rng.normal(0.0, OVERLOOK_PITCH_STD_RAD))
+    yaw = float(rng.uniform(-OVERLOOK_YAW_RAD, OVERLOOK_YAW_RAD))
+    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    y = float(rng.uniform(-0.5, 0.5)) * stairs.flight_width / 2 - math.tan(yaw) * (distance + target_x)
+    return look_along(np.array([-distance, y, floor + height]), yaw, pitch, roll)
 
 
 def _distractors_in_view(scene_spec: SceneSpec, camera_to_world: np.ndarray) -> int:

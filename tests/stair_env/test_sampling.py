@@ -156,6 +156,19 @@ def test_long_flights_are_seen_whole_and_from_beside():
     assert across >= 2
 
 
+def test_flights_down_are_often_looked_over():
+    """From too low, a nosing hides all that follow; who holds the camera often looks over several."""
+    rng = np.random.default_rng(4)
+    sampler = SceneSampler(num_steps=6, direction="down")
+    seen = {share: [] for share in (0.0, 1.0)}
+    for _ in range(60):
+        spec = sampler.sample(rng)
+        for share, counts in seen.items():
+            counts.append(count_edges_in_view(spec.stairs, sample_camera_pose(spec, rng, robot_share=share)))
+    several = {share: np.mean(np.array(counts) >= 4) for share, counts in seen.items()}
+    assert several[0.0] > 0.4 and several[0.0] > several[1.0]
+
+
 def test_without_stairs_a_look_alike_is_mostly_in_view():
     rng = np.random.default_rng(3)
     found = []

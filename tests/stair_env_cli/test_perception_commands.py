@@ -37,6 +37,16 @@ def test_started_again_it_only_completes(data, capsys):
     assert "another set" in capsys.readouterr().err
 
 
+def test_stairs_and_viewpoints_can_be_chosen(tmp_path, capsys):
+    chosen = ["--direction", "down", "--robot-share", "0", "--negatives", "0", "--seed", "3"]
+    counts = ["--train", "6", "--val", "0", "--test", "0"]
+    assert main(["dataset", "--output", str(tmp_path), *counts, *chosen]) == 0
+    cars = [json.loads(path.read_text()) for path in (tmp_path / "train" / "images").glob("*.json")]
+    assert {car["view"] for car in cars} <= {"descending", "none"} and len(cars) == 3
+    assert main(["dataset", "--output", str(tmp_path), *counts, "--robot-share", "1.5", "--seed", "3"]) == 2
+    assert "robot_share=1.5" in capsys.readouterr().err
+
+
 def test_odd_numbers_of_images_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["dataset", "--output", str(tmp_path), "--val", "3"])
