@@ -122,7 +122,7 @@ def _draw_rungs(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | str) -> None:
-    """Learning curves: success rate and curriculum level over environment steps.
+    """Learning curves over environment steps: success rate, and curriculum level or, where there is none, return.
 
     Args:
         curves: rows of `policies.train.callbacks.read_curve` by the run's name.
@@ -134,12 +134,14 @@ def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path | 
     if not any(curves.values()):
         raise ValueError("no learning curve holds a row")
     figure, axes = _panels(1, 2)
+    levels = any(row["level_mean"] != "" for rows in curves.values() for row in rows)
+    second = ("level_mean", "curriculum level") if levels else ("return_mean", "return, last 100 episodes")
     for name, rows in curves.items():
-        for axis, field in zip(axes[0], ("success_rate", "level_mean")):
+        for axis, field in zip(axes[0], ("success_rate", second[0])):
             points = [(row["timesteps"] / 1e6, row[field]) for row in rows if row[field] != ""]
             if points:
                 axis.plot(*np.array(points).T, label=name, linewidth=1.2)
-    for axis, label in zip(axes[0], ("success rate, last 100 episodes", "curriculum level")):
+    for axis, label in zip(axes[0], ("success rate, last 100 episodes", second[1])):
         axis.set_xlabel("million environment steps")
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)

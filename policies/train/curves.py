@@ -1,12 +1,13 @@
 """Learning curves on disk, and those of several runs side by side.
 
 `python -m policies.train.curves RUN... --output results/curves.json` writes a table, the curves, and a picture beside
-it.
+it: of several seeds of one training, or with NAME=RUN of trainings that differ in anything.
 """
 
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,31 +63,35 @@ def add_rates(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return read
 
 
-def compare_runs(runs: Iterable[Path | str]) -> dict[str, Any]:
-    """What several seeds of one training did.
+def compare_runs(runs: Iterable[Path | str] | Mapping[str, Path | str]) -> dict[str, Any]:
+    """What several seeds of one training did, or several trainings.
 
     Args:
-        runs: folders that `stair-env train` wrote.
+        runs: folders that `stair-env train` wrote; by name when they differ in more than the seed.
 
     Returns:
         JSON-able: `rows` (a table of beginnings and ends), `curves` (COMPARED of each run), and the settings that the
-        runs share.
+        runs share; of runs by name each row has its own settings.
 
     Raises:
-        ValueError: a folder is no run, or the runs differ in more than their seed.
+        ValueError: a folder is no run, or runs without names differ in more than their seed.
     """
     rows, curves, settings = [], [], None
-    for run in map(Path, runs):
+    named = dict(runs) if isinstance(runs, Mapping) else {}
+    for name, run in named.items() if named else ((None, run) for run in runs):
+        run = Path(run)
         curve = read_curve(run / CURVE_FILE)
         if not curve or not (run / CONFIG_FILE).is_file():
             raise ValueError(f"{run} holds no {CURVE_FILE} with rows beside a {CONFIG_FILE}")
         config = read_json_object(run / CONFIG_FILE)
-        shared = {name: config.get(name) for name in SHARED}
-        if settings not in (None, shared):
-            raise ValueError(f"{run} differs from the runs before it in more than the seed")
-        settings = shared
-        rows.append({"seed": config["seed"], "commit": config.get("commit", "")[:12], **_ends(curve)})
-        curves.append({"seed": config["seed"], **{name: [row[name] for row in curve] for name in COMPARED}})
+        shared = {setting: config.get(setting) for setting in SHARED}
+        if not named and settings not in (None, shared):
+            raise ValueError(f"{run} differs from the runs before it in more than the seed; name them: NAME=RUN")
+        own = {"name": name, "seed": config["seed"]} if named else {"seed": config["seed"]}
+        settings = {} if named else shared
+        kept = {"env_id": shared["env_id"], "env_kwargs": json.dumps(shared["env_kwargs"])} if named else {}
+        rows.append({**own, **kept, "commit": config.get("commit", "")[:12], **_ends(curve)})
+        curves.append({**own, **{field: [row[field] for row in curve] for field in COMPARED}})
     if settings is None:
         raise ValueError("runs is empty")
     return {"rows": rows, "curves": curves, **settings}
@@ -108,13 +113,22 @@ def _main() -> None:
     from stair_env.common.files import write_json
 
     parser = argparse.ArgumentParser(
-        prog="python -m policies.train.curves", description="Learning curves of several seeds."
+        prog="python -m policies.train.curves", description="Learning curves side by side."
     )
-    parser.add_argument("runs", nargs="+", type=Path)
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="folder of a run; NAME=RUN where more than the seed differs"
+    )
     parser.add_argument("--output", type=Path, required=True, help="JSON file; the picture lies beside it")
     args = parser.parse_args()
-    results = compare_runs(args.runs)
-    draw_curves({run.name: read_curve(run / CURVE_FILE) for run in args.runs}, args.output.with_suffix(".png"))
+    named = {name: Path(run) for name, found, run in (text.rpartition("=") for text in args.runs) if found}
+    if named and len(named) < len(args.runs):
+        parser.error("name every run, each otherwise, or none")
+    runs = named or {Path(run).name: Path(run) for run in args.runs}
+    try:
+        results = compare_runs(named or args.runs)
+    except ValueError as error:
+        parser.error(str(error))
+    draw_curves({name: read_curve(run / CURVE_FILE) for name, run in runs.items()}, args.output.with_suffix(".png"))
     write_json(args.output, results)
     print(args.output)
 

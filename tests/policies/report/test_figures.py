@@ -41,7 +41,8 @@ def test_random_stairs_are_refused(tmp_path: Path) -> None:
 
 
 def test_curves_skip_missing_values(tmp_path: Path) -> None:
-    rows = [{"timesteps": 1000.0 * i, "success_rate": i / 5 if i else "", "level_mean": ""} for i in range(5)]
+    row = {"return_mean": 1.0, "level_mean": ""}
+    rows = [{"timesteps": 1000.0 * i, "success_rate": i / 5 if i else "", **row} for i in range(5)]
     draw_curves({"run": rows}, tmp_path / "curve.png")
     assert (tmp_path / "curve.png").is_file()
     with pytest.raises(ValueError, match="no learning curve"):

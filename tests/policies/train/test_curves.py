@@ -34,6 +34,13 @@ def test_runs_of_different_settings_are_refused(tmp_path: Path) -> None:
         compare_runs(runs)
 
 
+def test_trainings_that_differ_are_compared_by_name(tmp_path: Path) -> None:
+    runs = {"one": write_run(tmp_path / "a", 0), "two": write_run(tmp_path / "b", 1, env_id="other")}
+    results = compare_runs(runs)
+    assert [(row["name"], row["env_id"]) for row in results["rows"]] == [("one", None), ("two", "other")]
+    assert [curve["name"] for curve in results["curves"]] == ["one", "two"] and "env_id" not in results
+
+
 def test_a_folder_without_a_curve_is_named(tmp_path: Path) -> None:
     assert read_curve(tmp_path / "none.csv") == []
     with pytest.raises(ValueError, match="holds no curve"):
