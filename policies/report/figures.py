@@ -171,7 +171,7 @@ def draw_imitation(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylim(0.0, 1.02)
-    axes[0, 1].legend(fontsize=8)
+    axes[0, 1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     _save(figure, path)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from policies.train.curves import ALONE_FIELDS, CURVE_FILE, WINDOW, add_rates, read_curve
+from stair_env.common.files import read_json_object
 
 
 def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]:
@@ -26,6 +27,20 @@ def read_runs(runs: Mapping[str, Path | str]) -> dict[str, list[dict[str, Any]]]
         ValueError: a folder holds no curve of this kind.
     """
     return {name: _read_run(Path(run)) for name, run in runs.items()}
+
+
+def read_table(path: Path | str) -> dict[str, list[dict[str, Any]]]:
+    """What `read_runs` gave to an earlier output of this command, whose runs need not be there any more.
+
+    Raises:
+        ValueError: the file is no such output.
+    """
+    try:
+        table = read_json_object(path)["curves"]
+        columns = {curve["run"]: {key: values for key, values in curve.items() if key != "run"} for curve in table}
+        return {name: [dict(zip(of, row)) for row in zip(*of.values(), strict=True)] for name, of in columns.items()}
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path} is no output of policies.train.imitation.lesson_curves: {error}") from None
 
 
 def _read_run(run: Path) -> list[dict[str, Any]]:
@@ -51,10 +66,14 @@ def _main() -> None:
         description="Curves of runs that learned from a teacher.",
     )
     parser.add_argument("runs", nargs="+", type=_named, metavar="[NAME=]RUN")
+    parser.add_argument("--beside", type=Path, metavar="FILE", help="an earlier output, whose curves stay")
     parser.add_argument("--output", type=Path, required=True, help="JSON file")
     parser.add_argument("--figure", type=Path, required=True, help="PNG file")
     args = parser.parse_args()
-    curves = read_runs(dict(args.runs))
+    try:
+        curves = {**(read_table(args.beside) if args.beside else {}), **read_runs(dict(args.runs))}
+    except (ValueError, OSError) as error:
+        parser.error(str(error))
     draw_imitation(curves, args.figure)
     ends = [{"run": name, **rows[-1]} for name, rows in curves.items()]
     table = [{"run": name, **{key: [row[key] for row in rows] for key in rows[0]}} for name, rows in curves.items()]

@@ -9,7 +9,7 @@ import pytest
 from policies.report.figures import draw_imitation
 from policies.train.cards import write_card
 from policies.train.curves import WINDOW
-from policies.train.imitation.lesson_curves import read_runs
+from policies.train.imitation.lesson_curves import _main, read_runs, read_table
 
 
 def write_run(folder: Path, flights: list[tuple[int, int]]) -> Path:
@@ -27,6 +27,20 @@ def test_rates_count_the_flights_of_a_window(tmp_path: Path) -> None:
     assert 0.0 < low < 11 / 16 < high < 1.0
     draw_imitation(curves, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_runs_that_are_gone_stay_in_the_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (write_run(tmp_path / name, [(2, 1), (3, arrived)]) for name, arrived in (("a", 1), ("b", 2)))
+    files = [str(tmp_path / "one.json"), "--figure", str(tmp_path / "curves.png")]
+    monkeypatch.setattr("sys.argv", ["lesson_curves", f"one={first}", "--output", *files])
+    _main()
+    again = ["lesson_curves", f"two={second}", "--beside", files[0], "--output", str(tmp_path / "both.json")]
+    monkeypatch.setattr("sys.argv", [*again, *files[1:]])
+    _main()
+    assert read_table(tmp_path / "both.json") == read_runs({"one": first, "two": second})
+    (tmp_path / "other.json").write_text('{"curves": 3}')
+    with pytest.raises(ValueError, match=r"other\.json is no output of policies\.train\.imitation\.lesson_curves"):
+        read_table(tmp_path / "other.json")
 
 
 def test_other_folders_are_refused(tmp_path: Path) -> None:
