@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -44,7 +43,7 @@ def make_perception_vec(
         ValueError: an argument is wrong; the message names it, its value and the choices.
         WorkerError: the workers could not be started.
     """
-    return perceive_vector(functools.partial(_rgbd_vec, num_envs), {"estimator": estimator, **kwargs})
+    return perceive_vector(lambda own: make_rgbd_vec(num_envs, **own), {"estimator": estimator, **kwargs})
 
 
 def perceive_vector(
@@ -73,10 +72,6 @@ def perceive_vector(
     except BaseException:
         vector.close()
         raise
-
-
-def _rgbd_vec(num_envs: int, kwargs: dict[str, Any]) -> WorkerVectorEnv:
-    return make_rgbd_vec(num_envs, **kwargs)
 
 
 def _check_source(kwargs: Mapping[str, Any]) -> None:

@@ -124,7 +124,7 @@ def _from_beside(scene_spec: SceneSpec, rng: np.random.Generator) -> np.ndarray:
     z = float(rng.uniform(*HAND_CAMERA_HEIGHT_M))
     target_z = float(profile.height_at(target_x))
     pitch = math.atan2(z - target_z, math.hypot(target_x - x, y)) + float(rng.normal(0.0, math.radians(6.0)))
-    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    roll = _spread(rng, ROLL_LIMIT_RAD)
     return look_along(np.array([x, side * y, z]), -side * yaw, pitch, roll)
 
 
@@ -140,7 +140,7 @@ def _from_above(scene_spec: SceneSpec, rng: np.random.Generator) -> np.ndarray:
     drop = height + floor - float(profile.height_at(target_x))
     pitch = math.atan2(drop, distance + target_x) + float(rng.normal(0.0, OVERLOOK_PITCH_STD_RAD))
     yaw = float(rng.uniform(-OVERLOOK_YAW_RAD, OVERLOOK_YAW_RAD))
-    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    roll = _spread(rng, ROLL_LIMIT_RAD)
     y = float(rng.uniform(-0.5, 0.5)) * stairs.flight_width / 2 - math.tan(yaw) * (distance + target_x)
     return look_along(np.array([-distance, y, floor + height]), yaw, pitch, roll)
 
@@ -170,8 +170,8 @@ def _floor_height(scene_spec: SceneSpec) -> float:
 
 def _draw_pose(stairs: StairSpec | None, style: str, rng: np.random.Generator) -> np.ndarray:
     """In the flight's direction, by a "robot", "hand" or "standing" person."""
-    yaw = float(np.clip(rng.normal(0.0, YAW_LIMIT_RAD / 2), -YAW_LIMIT_RAD, YAW_LIMIT_RAD))
-    roll = float(np.clip(rng.normal(0.0, ROLL_LIMIT_RAD / 2), -ROLL_LIMIT_RAD, ROLL_LIMIT_RAD))
+    yaw = _spread(rng, YAW_LIMIT_RAD)
+    roll = _spread(rng, ROLL_LIMIT_RAD)
     half = 0.6 if stairs is None else stairs.flight_width / 2
     y = float(np.clip(rng.normal(0.0, 0.35 * half), -half - 0.1, half + 0.1))
     x, surface, slope = _standing_place(stairs, rng, far=style == "standing")
@@ -190,6 +190,11 @@ def _draw_pose(stairs: StairSpec | None, style: str, rng: np.random.Generator) -
         pitch = float(rng.uniform(*HAND_PITCH_RAD))
         z = surface + float(rng.uniform(*HAND_CAMERA_HEIGHT_M))
     return look_along(np.array([x, y, z]), yaw, pitch, roll)
+
+
+def _spread(rng: np.random.Generator, limit_rad: float) -> float:
+    """An angle about zero, mostly within half of its limit."""
+    return float(np.clip(rng.normal(0.0, limit_rad / 2), -limit_rad, limit_rad))
 
 
 def _standing_place(
