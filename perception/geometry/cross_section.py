@@ -197,7 +197,7 @@ def read_nosings(
         elif section.kind[index] == TREAD and section.kind[index + 1] == RISER:
             kinds[line] = "concave"
     pitch_std = math.sqrt(float(faces.angle_cov[1, 1]))
-    finished = [_finish(section, direction, edges, index, pitch_std, omega_m) for index in range(len(edges))]
+    finished = [_finish(section, direction, edges, index, slopes, pitch_std, omega_m) for index in range(len(edges))]
     return _steady(_drop_strangers(finished)), kinds
 
 
@@ -291,13 +291,19 @@ def _descending_edge(section: Section, index: int, slope: float, slope_std: floa
 
 
 def _finish(
-    section: Section, direction: int, edges: list[_Edge], index: int, pitch_std: float, omega_m: float
+    section: Section,
+    direction: int,
+    edges: list[_Edge],
+    index: int,
+    slopes: tuple[np.ndarray, np.ndarray],
+    pitch_std: float,
+    omega_m: float,
 ) -> Nosing:
     """Add riser and tread, where the faces that bound them are known and adjoin."""
     edge = edges[index]
     far = edges[index + 1] if index + 1 < len(edges) else None
     near = edges[index - 1] if index > 0 else None
-    riser = _riser(section, direction, edge, near)
+    riser = _riser(section, direction, edge, near, slopes)
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
@@ -325,7 +331,9 @@ def _with_common_errors(measured: tuple[float, float], pitch_error_m: float) -> 
     return math.sqrt(std**2 + pitch_error_m**2 + (SCALE_STD * length) ** 2)
 
 
-def _riser(section: Section, direction: int, edge: _Edge, near: _Edge | None) -> tuple[float, float] | None:
+def _riser(
+    section: Section, direction: int, edge: _Edge, near: _Edge | None, slopes: tuple[np.ndarray, np.ndarray]
+) -> tuple[float, float] | None:
     """Height and standard deviation of the riser at a nosing: below it going up, beyond it going down."""
     face = edge.before + 1 if direction == DOWN else edge.before - 1
     level = edge.before if direction == DOWN else edge.before + 1
@@ -339,16 +347,26 @@ def _riser(section: Section, direction: int, edge: _Edge, near: _Edge | None) ->
             else math.hypot(edge.height_std, section.std(face))
         )
         return abs(edge.height - lower), std
-    if direction == UP and near is not None and face == near.before:  # the tread hides behind the nosing below
-        return abs(edge.height - near.height), math.hypot(edge.height_std, near.height_std)
+    if direction == UP and near is not None and near.before in (face, face - _is(section, face, UNKNOWN)):
+        # The tread hides behind the nosing below, or depth shows nothing of it.
+        return edge.height - near.height, math.hypot(edge.height_std, near.height_std)
+    if direction == UP and _is(section, face, UNKNOWN):
+        return _by_foot(section, edge, slopes)
     return None
+
+
+def _by_foot(section: Section, edge: _Edge, slopes: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+    """A riser from the line at its foot, where depth shows nothing of the tread before it."""
+    foot = section.last_line[edge.before - 1]
+    std = math.hypot(edge.forward * float(slopes[1][foot]), float(slopes[0][foot]) * edge.forward_std)
+    return edge.height - float(slopes[0][foot]) * edge.forward, math.hypot(edge.height_std, std)
 
 
 def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> tuple[float, float] | None:
     """Run and its standard deviation, from a nosing to the next riser (up) or the next nosing (down)."""
     if direction == UP:
         risers = [face for face in (edge.before + 1, edge.before + 2) if _is(section, face, RISER)]
-        if not risers or not (risers[0] == edge.before + 1 or _is(section, edge.before + 1, TREAD)):
+        if not risers:
             return None
         run = float(section.value[risers[0]] - section.value[edge.before])
         return run, section.std_of_difference(edge.before, risers[0])

@@ -13,11 +13,17 @@ import numpy as np
 
 from perception.geometry.lines import SCORE_THRESHOLD, median
 from perception.geometry.profile.depth_profile import Profile, ProfileEdge, read_profile
+from perception.geometry.strips.strip_labels import RISER, UNKNOWN
 from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 from stair_env.intrinsics import Intrinsics
 
 IMAGE_WIDTH_PX = 640.0  # of the image for which pixels are given below
 MATCH_PX = 6.0  # of a detected line from an edge of the cross-section: two of its rows and three jitters
+FATTENED_PX = 15.0  # by which depth may go on beyond the end of a face: half a matcher's window
+CLEAR_SHARE = 0.75  # of the best score near an edge, from which another line counts as much
+# For edges of these kinds, near and far (see `_fattened_side`). A tread and a riser that meet hide nothing. Where tread
+# follows tread, going down, lines beside the edge were more often stripes than the edge itself.
+FATTENED_SIDE = {(RISER, UNKNOWN): 1.0, (RISER, RISER): 1.0, (UNKNOWN, RISER): -1.0}
 SAMPLES = 9  # along a line, to see how far away it is
 SAMPLE_OFFSET_PX = 4.0  # above and below the line, clear of flying pixels
 EXTENT_SHARE = 0.2  # of the lines' weight that may lie outside the staircase's width: lines on walls and floors
@@ -35,6 +41,7 @@ class CheckedLines:
         source: (n,) row of the detected line each one comes from, -1 for none.
         own_length: (n,) pixels over which the detector saw it, 0 where it did not.
         confirmed: (n,) whether both the detector and depth show it.
+        ends_riser: (n,) whether a riser ends there whose depth may go on above it.
         profile: the cross-section.
     """
 
@@ -42,6 +49,7 @@ class CheckedLines:
     source: np.ndarray
     own_length: np.ndarray
     confirmed: np.ndarray
+    ends_riser: np.ndarray
     profile: Profile
 
 
@@ -68,13 +76,14 @@ def check_lines(
     profile = read_profile(depth_m, intrinsics, camera_to_stair, middle_x, lateral, omega_m)
     drawn = _draw_edges(profile, lateral, camera_to_stair, intrinsics, support)
     match_px = MATCH_PX * intrinsics.width / IMAGE_WIDTH_PX
-    match = _match(lines, drawn, match_px)
+    match = _match(lines, drawn, profile.edges, match_px)
     connected = _connected(profile.edges, np.isin(np.arange(len(drawn)), match))
-    kept, source, confirmed = [], [], []
+    shown = _shown(profile.edges, match)
+    kept, source, confirmed, ends_riser = [], [], [], []
     for edge, row in enumerate(drawn):
-        if np.isnan(row[4]) or not connected[edge]:
+        if np.isnan(row[4]) or not connected[edge] or not shown[edge]:
             continue
-        taken = np.nonzero(match == edge)[0]
+        taken = _of_one_edge(lines, np.nonzero(match == edge)[0], _fattened_side(profile.edges[edge]), match_px)
         if len(taken):
             kept.append(_join(lines[taken], row))
             source.append(int(taken[np.argmax(lines[taken, 7])]))
@@ -82,16 +91,19 @@ def check_lines(
             kept.append(row)
             source.append(-1)
         confirmed.append(len(taken) > 0)
+        ends_riser.append(_fattened_side(profile.edges[edge]) > 0.0)
     for index in np.nonzero((match < 0) & (lines[:, 6] >= SCORE_THRESHOLD))[0].tolist():
         if not _inside_a_face(lines[index], profile, camera_to_stair, intrinsics, match_px):
             kept.append(lines[index])
             source.append(index)
             confirmed.append(False)
+            ends_riser.append(False)
     found = np.array(kept).reshape(-1, lines.shape[1])
     order = np.argsort(-(found[:, 4] * middle_x + found[:, 5]), kind="stable")
     origin = np.array(source, dtype=int)[order]
     own_length = np.where(origin >= 0, (lines[:, 2] - lines[:, 0])[origin], 0.0)
-    return CheckedLines(found[order], origin, own_length, np.array(confirmed, dtype=bool)[order], profile)
+    both, ends = np.array(confirmed, dtype=bool)[order], np.array(ends_riser, dtype=bool)[order]
+    return CheckedLines(found[order], origin, own_length, both, ends, profile)
 
 
 def lateral_extent(
@@ -165,6 +177,21 @@ def _draw_edges(
     return rows
 
 
+def _shown(edges: tuple[ProfileEdge, ...], match: np.ndarray) -> np.ndarray:
+    """(e,) whether an edge counts: by itself, or because a line shows it.
+
+    Depth ends for other reasons than edges, so that the end of a riser needs a line. Where the tread between two risers
+    is all but hidden, their meeting counts only until a line shows the end of the near one.
+    """
+    by_line = np.isin(np.arange(len(edges)), match)
+    counts = by_line.copy()
+    for index, edge in enumerate(edges):
+        replaced = edge.near_kind == edge.far_kind == RISER and index > 0 and by_line[index - 1]
+        replaced = replaced and edges[index - 1].far_kind == UNKNOWN
+        counts[index] |= UNKNOWN not in (edge.near_kind, edge.far_kind) and not replaced
+    return counts
+
+
 def _connected(edges: tuple[ProfileEdge, ...], confirmed: np.ndarray) -> np.ndarray:
     """(e,) whether an edge is confirmed by a line, or hangs together with such a one step by step."""
     connected = confirmed.copy()
@@ -177,15 +204,41 @@ def _connected(edges: tuple[ProfileEdge, ...], confirmed: np.ndarray) -> np.ndar
     return connected
 
 
-def _match(lines: np.ndarray, drawn: np.ndarray, match_px: float) -> np.ndarray:
-    """(m,) the edge that each line shows from end to end, -1 for none."""
+def _match(lines: np.ndarray, drawn: np.ndarray, edges: tuple[ProfileEdge, ...], match_px: float) -> np.ndarray:
+    """(m,) the edge that each line shows from end to end, -1 for none.
+
+    Depth that was matched in windows is fattened: a face goes on for half a window over what lies farther away behind
+    its end. The true end is the line within the face.
+    """
     if len(drawn) == 0:
         return np.full(len(lines), -1)
     slope, offset = lines[:, 4] - drawn[:, 4:5], lines[:, 5] - drawn[:, 5:6]  # (e, m)
+    below = 0.5 * (slope * (lines[:, 0] + lines[:, 2])) + offset  # in the image, pixels
     miss = 0.5 * (np.abs(slope * lines[:, 0] + offset) + np.abs(slope * lines[:, 2] + offset))
+    inward = np.array([_fattened_side(edge) for edge in edges])[:, None]
+    miss = np.where(inward * below > 0.0, miss * MATCH_PX / FATTENED_PX, miss)
     miss = np.where(np.isnan(miss), np.inf, miss)
     nearest = np.argmin(miss, axis=0)
     return np.where(miss[nearest, np.arange(len(lines))] < match_px, nearest, -1)
+
+
+def _fattened_side(edge: ProfileEdge) -> float:
+    """Where in the image the face lies that may go on beyond an edge: 1 below it, -1 above it, 0 nowhere."""
+    return FATTENED_SIDE.get((edge.near_kind, edge.far_kind), 0.0)
+
+
+def _of_one_edge(lines: np.ndarray, taken: np.ndarray, inward: float, match_px: float) -> np.ndarray:
+    """Which of the lines that were matched to an edge are that edge.
+
+    Where a tread is all but covered by what its neighbours' depth was fattened by, both of its edges come near: the
+    end of the face that goes on is the one within it. Lines that score less are stripes on the face.
+    """
+    if inward == 0.0 or len(taken) < 2:
+        return taken
+    x = median((lines[taken, 0] + lines[taken, 2]) / 2.0)
+    depth_in_face = inward * (lines[taken, 4] * x + lines[taken, 5])
+    clear = lines[taken, 6] >= CLEAR_SHARE * lines[taken, 6].max()
+    return taken[np.abs(depth_in_face - depth_in_face[clear].max()) < match_px]
 
 
 def _join(pieces: np.ndarray, edge: np.ndarray) -> np.ndarray:

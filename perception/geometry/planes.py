@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from perception.geometry.lines import median
 from perception.geometry.profile.depth_jumps import locate_drops
 from perception.geometry.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
 from perception.geometry.reconcile import is_sound, reconcile, without_gravity
+from perception.geometry.strips.strip_labels import RISER, UNKNOWN
 from perception.geometry.strips.strip_planes import Faces, LineViews, fit_faces, sample_strips
 from stair_env.intrinsics import Intrinsics
 
@@ -185,6 +187,7 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
     if len(chosen) == 0:
         return Reading(frame.nothing("depth shows no edge where the lines are"), guess, scan=checked.profile)
     views, faces = _fit(checked, depth_m, intrinsics, guess, gravity_std_rad)
+    faces = _without_fattening(faces, checked.ends_riser, omega_m)
     section = build_section(faces, views, _thickness(chosen, intrinsics), omega_m)
     direction = walking_direction(section, omega_m)
     if direction == 0:
@@ -218,6 +221,21 @@ def _fit(
     jitter_px = np.where(checked.source >= 0, _jitter_px(lines, intrinsics), MISSING_LINE_JITTER_PX * pixel)
     views = _line_views(lines, intrinsics, jitter_px, checked.own_length)
     return views, fit_faces(sample_strips(lines, depth_m, intrinsics), guess, views, gravity_std_rad)
+
+
+def _without_fattening(faces: Faces, ends_riser: np.ndarray, omega_m: float) -> Faces:
+    """Forget strips that show nothing but the riser below them, where that is known to end.
+
+    Args:
+        faces: of the m + 1 strips.
+        ends_riser: (m,) whether a riser ends at the line above each strip but the last.
+        omega_m: faces of one kind nearer than this are one.
+    """
+    both_risers = (faces.kind[:-1] == RISER) & (faces.kind[1:] == RISER)
+    same = both_risers & (np.abs(np.diff(faces.value)) < omega_m) & ends_riser
+    kind, value = faces.kind.copy(), faces.value.copy()
+    kind[1:][same], value[1:][same] = UNKNOWN, 0.0
+    return replace(faces, kind=kind, value=value)
 
 
 def _jitter_px(lines: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:

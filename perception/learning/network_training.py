@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from perception.learning.frames import Batch, FrameModule
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.learning.metrics import DetectionCounts, count_cells
-from perception.learning.presets import TrainingPreset
+from perception.learning.presets import Precision, TrainingPreset
 from perception.network import StairNetV2, use_merged_norms
 
 LOGGER = logging.getLogger(__name__)
@@ -195,7 +195,7 @@ def train(
         devices=devices,
         strategy="ddp" if devices > 1 else "auto",
         use_distributed_sampler=False,  # `FrameModule` gives each process its share
-        precision=module.preset.precision,
+        precision=_usable_precision(module.preset.precision, accelerator),
         max_epochs=module.preset.epochs,
         default_root_dir=output,
         callbacks=[*keep, EpochLine()],
@@ -210,6 +210,15 @@ def train(
         trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
     use_merged_norms(module.network, False)
     module.network.eval()
+
+
+def _usable_precision(precision: Precision, accelerator: str) -> Precision:
+    """The preset's, or float32 on a processor without bfloat16 units, which takes ten times as long over bfloat16."""
+    on_card = accelerator == "gpu" or (accelerator == "auto" and torch.cuda.is_available())
+    if precision != "bf16-mixed" or on_card or torch.ops.mkldnn._is_mkldnn_bf16_supported():
+        return precision
+    LOGGER.warning("this processor has no bfloat16 units: training in float32")
+    return "32-true"
 
 
 @contextmanager

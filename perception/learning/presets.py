@@ -10,6 +10,7 @@ from perception.data.augmentation import AugmentationConfig
 from stair_env.common.field_kinds import naming_fields
 
 SCHEDULES = ("step", "cosine")
+Precision = Literal["32-true", "bf16-mixed"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class TrainingPreset:
         dynamic_weights: equations 5 and 6 after each epoch; else the fixed weights of equation 1.
         location_loss: see `perception.learning.losses.detection_loss`.
         positive_weight: see `perception.learning.losses.detection_loss`.
-        precision: Lightning's name; "bf16-mixed" halves the time of a step on CPUs with bfloat16 units.
+        precision: Lightning's name; "bf16-mixed" halves the time of a step on CPUs with bfloat16 units, and is
+            "32-true" on those without.
         augmentation: of the frames.
 
     Raises:
@@ -54,7 +56,7 @@ class TrainingPreset:
     dynamic_weights: bool = True
     location_loss: str = "l2"
     positive_weight: float = 1.0
-    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    precision: Precision = "32-true"
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
 
     @naming_fields

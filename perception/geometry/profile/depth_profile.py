@@ -31,6 +31,7 @@ PLACE_STD_M = 0.006  # floor: gravity off by 0.7 degrees tilts a face of 0.3 m b
 FACE_COST = 8.0  # of one more face, squared standard deviations: noise does not pay for a face
 UNKNOWN_COST = 3.0  # per row that no face explains
 MIN_FACE_ROWS = 3
+MIN_HIDDEN_ROWS = 2  # unexplained rows between two risers that may be the tread between them
 MAX_GAP_ROWS = 8  # unexplained rows between two faces that still meet there: smeared and missing depth
 CUT_TURNS_RAD = tuple(math.radians(degrees) for degrees in range(-12, 13))  # that `pitch_from_cut` tries
 CUT_TURN_STD_RAD = math.radians(0.5)
@@ -43,7 +44,8 @@ class ProfileEdge:
 
     Attributes:
         forward_m, height_m: relative to the camera.
-        near_kind, far_kind: TREAD or RISER.
+        near_kind, far_kind: TREAD or RISER; UNKNOWN where depth says nothing on that side. Such an end of a riser is an
+            edge only if a detector sees one there: depth ends for other reasons, too.
     """
 
     forward_m: float
@@ -248,18 +250,38 @@ def _faces(
 def _edges(
     kinds: list[int], values: list[float], spans: list[tuple[int, int]], slope: np.ndarray
 ) -> tuple[ProfileEdge, ...]:
-    """Edges between neighbouring faces that adjoin."""
-    edges = []
+    """Edges between neighbouring faces that adjoin, and the ends of risers next to which depth says nothing."""
+    edges: list[ProfileEdge] = []
+    if kinds and kinds[0] == RISER and spans[0][0] > 0:
+        edges.append(_foot(values[0], float(slope[spans[0][0]])))
     for near, far in itertools.pairwise(range(len(kinds))):
         last, begin = spans[near][1], spans[far][0]
-        if begin - last - 1 > MAX_GAP_ROWS:
-            continue
-        cut = 0.5 * float(slope[last] + slope[begin])
-        row = abs(float(slope[begin] - slope[last])) / max(begin - last, 1)
-        place = _corner(kinds[near], values[near], kinds[far], values[far], cut, CORNER_MISS_ROWS * row)
-        if place is not None:
-            edges.append(ProfileEdge(*place, kinds[near], kinds[far]))
+        gap = begin - last - 1
+        hides_tread = kinds[near] == kinds[far] == RISER and gap >= MIN_HIDDEN_ROWS
+        apart = gap > MAX_GAP_ROWS
+        if kinds[near] == RISER and (apart or hides_tread):
+            edges.append(_top(values[near], float(slope[last])))
+        if not apart:
+            cut = 0.5 * float(slope[last] + slope[begin])
+            row = abs(float(slope[begin] - slope[last])) / max(begin - last, 1)
+            place = _corner(kinds[near], values[near], kinds[far], values[far], cut, CORNER_MISS_ROWS * row)
+            if place is not None:
+                edges.append(ProfileEdge(*place, kinds[near], kinds[far]))
+        if kinds[far] == RISER and (apart or hides_tread):
+            edges.append(_foot(values[far], float(slope[begin])))
+    if kinds and kinds[-1] == RISER and spans[-1][1] < len(slope) - 1:
+        edges.append(_top(values[-1], float(slope[spans[-1][1]])))
     return tuple(edges)
+
+
+def _foot(forward_m: float, slope: float) -> ProfileEdge:
+    """The lower end of a riser; nothing is known of what lies before it."""
+    return ProfileEdge(forward_m, forward_m * slope, UNKNOWN, RISER)
+
+
+def _top(forward_m: float, slope: float) -> ProfileEdge:
+    """The upper end of a riser; nothing is known of what lies behind it."""
+    return ProfileEdge(forward_m, forward_m * slope, RISER, UNKNOWN)
 
 
 def _corner(

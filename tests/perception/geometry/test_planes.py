@@ -330,3 +330,38 @@ def test_missed_inner_edges_are_found_in_depth(seed: int) -> None:
     assert len(found.steps) >= 1
     stds = 1000.0 * np.array([[step.width_std_m, step.height_std_m] for step in found.steps])
     assert (np.abs(seen.errors_mm(found)[:, :2]) < np.maximum(5.0, 3.0 * stds)).all()
+
+
+def risers_alone(seen: View, fattened_px: int) -> np.ndarray:
+    """Depth of the risers alone, each going on over its upper end by half a matcher's window."""
+    v, u = np.indices(seen.depth.shape)
+    rays = np.stack([(u + 0.5 - CAMERA.cx) / CAMERA.fx, (v + 0.5 - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    x = seen.depth * (rays @ seen.pose[0, :3]) + seen.distance_x
+    away = np.abs(x[..., None] - seen.profile.edge_x).min(axis=-1)
+    depth = np.where((away < 0.004) & (seen.depth > 0.0), seen.depth, 0.0)
+    fattened = depth.copy()
+    for shift in range(1, fattened_px + 1):
+        above = np.zeros_like(depth)
+        above[:-shift] = depth[shift:]
+        fattened = np.where(fattened > 0.0, fattened, above)
+    return fattened
+
+
+@pytest.mark.parametrize("fattened_px", [0, 8])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_steps_are_read_from_risers_alone(seed: int, fattened_px: int) -> None:
+    seen = view("up", seed)
+    found = seen.measure(depth=risers_alone(seen, fattened_px))
+    assert found.direction == 1
+    assert len(found.steps) >= 2
+    assert (np.abs(seen.errors_mm(found)[:, :2]) < (6.0, 12.0)).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_risers_that_end_where_no_line_is_seen_end_for_other_reasons(seed: int) -> None:
+    """Depth shows several risers, the detector one line: no step."""
+    seen = view("up", seed)
+    depth = risers_alone(seen, 0)
+    lowest = seen.lines[np.argmax(seen.lines[:, 1])]
+    found = seen.measure(depth=depth, lines=lowest[None])
+    assert not found.steps
