@@ -10,6 +10,7 @@ import numpy as np
 
 from perception.deploy.onnx_actor import FORMAT, KEYS, MODEL, NOTE, STATISTICS
 from policies.pretrained import Policy, PolicyError, load
+from policies.remembering import remembers
 from stair_env.common.files import atomic_path
 
 if TYPE_CHECKING:
@@ -42,6 +43,10 @@ def export_actor(policy: Policy, folder: str | Path) -> Path:
             f"policy {policy.name!r} reads {', '.join(spaces) or 'one vector'}, must read {', '.join(KEYS)}"
         )
     sizes = {key: int(np.prod(space.shape)) for key, space in spaces.items()}
+    if remembers(policy.observation_space) or policy.card.get("symmetric"):
+        raise PolicyError(
+            f"policy {policy.name!r} remembers or acts both ways, which the exported network alone would not"
+        )
     actor = _actor_module(policy, sizes)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_path(folder / MODEL) as temporary, torch.no_grad():

@@ -18,6 +18,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.make_env import ENV_IDS
+from policies.mirror import act_both_ways, check_mirrors
 from policies.portable import portable
 from policies.remembering import Recall, remembers, without_memory
 from policies.rollout import CONTROLS
@@ -45,7 +46,7 @@ class Policy:
 
     Attributes:
         name: shipped name, or the folder it came from.
-        card: how it was trained and how well it does.
+        card: how it was trained and how well it does. With `symmetric` it acts by `policies.mirror.act_both_ways`.
         algorithm: that trained it, a name in `policies.saved_models.ALGORITHMS`.
         model, normalisation: of Stable-Baselines3; no normalisation is None.
         observation_space, action_space: what it was trained on.
@@ -60,6 +61,16 @@ class Policy:
         self.observation_space: gym.Space = self.model.observation_space
         self.action_space: gym.Space = self.model.action_space
         self._recall = Recall(card) if remembers(self.observation_space) else None
+        self._symmetric = bool(card.get("symmetric", False))
+        if self._symmetric:
+            keys, size = (
+                getattr(self.observation_space, "spaces", {"one vector": None}),
+                self.action_space.shape or (0,),
+            )
+            try:
+                check_mirrors(keys, size[0])
+            except ValueError as error:
+                raise PolicyError(f"policy {name!r} is symmetric by its card: {error}") from None
 
     @property
     def _model(self) -> Any:
@@ -84,9 +95,17 @@ class Policy:
             observation = flatten(self._flattened, observation)
         if self._recall is not None and not remembers(observation):
             observation, state = self._recall.add(observation, state, episode_start)
-        if self.normalisation is not None:
-            observation = self.normalisation.normalize_obs(observation)
-        return self.model.predict(observation, state, episode_start, deterministic)
+        if not self._symmetric:
+            return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
+        batched = np.ndim(next(iter(observation.values()))) == 2
+        batch = observation if batched else {key: np.asarray(value)[None] for key, value in observation.items()}
+        action = act_both_ways(
+            lambda seen: self.model.predict(self._normalised(seen), None, None, deterministic)[0], batch
+        )
+        return action if batched else action[0], state
+
+    def _normalised(self, observation: Any) -> Any:
+        return observation if self.normalisation is None else self.normalisation.normalize_obs(observation)
 
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.

@@ -6,7 +6,7 @@
 | `actuation` | "gait", "joint", or fields | `JointActuation` |
 | `actuator` | "position", "pd", or fields | `PdActuator`, an `Actuator`, or what makes one for a `RobotSpec` |
 | `gait` | "trot" | `GaitConfig`, a `GaitPlanner`, or what makes one for a `RobotSpec` |
-| `stair_source` | "oracle", "noisy", "varied", "blind", "shuffled", "external" | `StairSource` |
+| `stair_source` | "oracle", "noisy", "blind", "shuffled", "external" | `StairSource` |
 | `rewards` | {default or optional term: weight, or None for off} | {name: `RewardTerm`} |
 | `terminations` | {name: None for off} | {name: function of a `StepState`} |
 | `observations` | "stairs", "height_scan", "proprio"; {part: None for left out} | {name: `ObservationTerm`} |

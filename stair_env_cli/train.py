@@ -55,7 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--direction", choices=EPISODE_DIRECTIONS, default="both", help="walking direction (%(default)s)"
     )
-    parser.add_argument("--source", help="where the stair block comes from: oracle, noisy, varied, blind, shuffled")
+    parser.add_argument("--source", help="where the stair block comes from: oracle, noisy, blind, shuffled")
     parser.add_argument(
         "--no-curriculum", action="store_true", help="train on the whole range of stairs from the start"
     )

@@ -94,6 +94,7 @@ def _training(card: Mapping[str, Any]) -> str:
     facts = {
         "algorithm": card.get("algorithm"),
         "method": card.get("method"),
+        "acts": "both ways: the mean over what it sees and the mirror image of it" if card.get("symmetric") else None,
         "environment": card.get("env_id"),
         "arguments": json.dumps(card.get("env_kwargs", {})),
         "hyperparameters": json.dumps(card.get("hyperparams", {})),

@@ -42,7 +42,7 @@ LIGHTING_CHOICES = (*SCENE_LIGHTINGS, "random")
 DEMO_LIGHTINGS = (*SCENE_LIGHTINGS, "both")
 
 # Where the stair block comes from: in the environment, and in an evaluation.
-BLOCK_SOURCES = ("oracle", "noisy", "varied", "blind", "shuffled", "external")
+BLOCK_SOURCES = ("oracle", "noisy", "blind", "shuffled", "external")
 EVALUATION_SOURCES = ("oracle", "stairnet", "blind", "shuffled", "gait", "noisy")
 
 # Who walks in a page that is watched: a trained policy, the gait alone, or chance.

@@ -4,7 +4,6 @@
 |---|---|
 | oracle | the truth |
 | noisy | the truth, spoiled like a camera's measurement: for training without rendering |
-| varied | the same, each episode as strongly as it draws, a quarter of them not at all |
 | blind | empty, always |
 | shuffled | true to another staircase |
 | external | what `StairClimbEnv.provide_stair` was last given (a perception wrapper) |
@@ -16,7 +15,7 @@ import copy
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -213,12 +212,6 @@ class PerceptionErrorModel:
     blackout_s: float = 0.4
     wrong_direction: float = 0.002
 
-    def scaled(self, factor: float) -> PerceptionErrorModel:
-        """All sizes and chances times a factor; how long errors last stays."""
-        lasting = ("persistence", "frame_interval_s", "blackout_s")
-        sizes = {item.name: factor * getattr(self, item.name) for item in fields(self) if item.name not in lasting}
-        return replace(self, **sizes)
-
 
 class NoisySource:
     """The truth with a perception's errors, so that a policy can be trained for the camera without rendering."""
@@ -262,25 +255,6 @@ class NoisySource:
         )
 
 
-class VariedSource(NoisySource):
-    """Errors between none and the model's: for a policy that is to walk well on the truth and on a camera alike.
-
-    Args:
-        errors: at their strongest.
-        exact_share: of the episodes in which the block is the truth; in the others the strength is uniform in 0..1.
-    """
-
-    def __init__(self, errors: PerceptionErrorModel = PerceptionErrorModel(), exact_share: float = 0.25) -> None:
-        self._strongest, self._exact_share = errors, exact_share
-        super().__init__(errors)
-
-    def reset(self, spec: StairSpec, rng: np.random.Generator) -> None:
-        """Begin an episode and draw how strong its errors are."""
-        exact, strength = rng.random(2)
-        self._errors = self._strongest.scaled(0.0 if exact < self._exact_share else float(strength))
-        super().reset(spec, rng)
-
-
 class ExternalSource:
     """Hands out the block it was last given."""
 
@@ -300,7 +274,6 @@ class ExternalSource:
 _SOURCE_CLASSES: dict[str, type] = {
     "oracle": OracleSource,
     "noisy": NoisySource,
-    "varied": VariedSource,
     "blind": BlindSource,
     "shuffled": ShuffledSource,
     "external": ExternalSource,

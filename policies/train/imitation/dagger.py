@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
+from policies.mirror import begun, mirror_joints, mirror_observation
 from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
-from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
 from policies.train.imitation.run_folder import (
     CARD_FILE,
     CHECKPOINT_FOLDER,
@@ -75,6 +75,7 @@ class ImitationConfig:
         final_factor: see `updates`.
         batch_size: samples of a gradient step.
         learning_rate: at the start of a round; it falls to a twentieth.
+        symmetric: whether the policy, once learned, acts both ways (`policies.mirror.act_both_ways`).
         net_arch: hidden layers of the actor; the critic has the same.
         episode_steps: longest episode while learning.
         vec_kind: see `policies.make_env.make_vec_env`.
@@ -97,6 +98,7 @@ class ImitationConfig:
     final_factor: int = 4
     batch_size: int = 256
     learning_rate: float = 1.5e-3
+    symmetric: bool = True
     net_arch: tuple[int, ...] = (256, 256)
     episode_steps: int = 450
     vec_kind: str = "auto"
@@ -359,6 +361,7 @@ def _finish(config: ImitationConfig, model: PPO, folder: Path, last: dict[str, A
     card = {
         "algorithm": "ppo",
         "method": "dagger",
+        "symmetric": config.symmetric,
         "env_id": CLIMB_ID,
         "env_kwargs": {"memory": True, **config.env_kwargs},
         "hyperparams": {k: v for k, v in dataclasses.asdict(config).items() if k not in ("env_kwargs", "seed")},

@@ -7,14 +7,7 @@ from stair_env.common.constants import BLOCK_SOURCES
 from stair_env.common.validation import SpecError
 from stair_env.observation import STAIR_HIGH, STAIR_LOW, StairBlock
 from stair_env.stairs import StairSpec
-from stair_env.task.sources import (
-    VIEW_RANGE_M,
-    ExternalSource,
-    HipPose,
-    PerceptionErrorModel,
-    make_source,
-    true_block,
-)
+from stair_env.task.sources import VIEW_RANGE_M, ExternalSource, HipPose, make_source, true_block
 
 SPEC = StairSpec(riser_height=0.12, tread_depth=0.28, num_steps=4)
 PROFILE = SPEC.profile()
@@ -84,29 +77,6 @@ def test_noisy_is_near_the_truth():
                 errors.append([told.step_width - truth.step_width, told.edge_distance - truth.edge_distance])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (rms > 0.002).all() and (rms < 0.03).all()
-
-
-def test_varied_errors_lie_between_none_and_those_of_noisy():
-    def spread(name, seed):
-        source = make_source(name)
-        source.reset(SPEC, np.random.default_rng(seed))
-        poses = [HipPose(-0.8, 0.0, k / 48) for k in range(96)]
-        told = [block.edge_distance - 0.8 for block in (read(source, pose) for pose in poses) if block.valid]
-        return np.sqrt(np.mean(np.square(told)))
-
-    varied, noisy = (np.array([spread(name, seed) for seed in range(60)]) for name in ("varied", "noisy"))
-    exact = varied < 1e-6
-    assert 5 <= exact.sum() <= 25  # a quarter of sixty
-    assert np.median(varied[~exact]) < np.median(noisy)
-    assert (noisy > 1e-3).all()
-
-
-def test_scaled_errors_keep_how_long_they_last():
-    errors = PerceptionErrorModel()
-    half = errors.scaled(0.5)
-    assert half.distance_bias == 0.5 * errors.distance_bias and half.dropout == 0.5 * errors.dropout
-    assert (half.persistence, half.frame_interval_s) == (errors.persistence, errors.frame_interval_s)
-    assert errors.scaled(1.0) == errors
 
 
 def test_external_hands_out_what_it_is_given():

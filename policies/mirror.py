@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -83,6 +83,45 @@ _MIRRORS = {
     STAIR_KEY: _mirror_stair,
     HEIGHT_SCAN_KEY: _mirror_scan,
 }
+
+
+def check_mirrors(keys: Iterable[str], num_actions: int) -> None:
+    """Refuse what has no mirror image.
+
+    Args:
+        keys: of the observation.
+        num_actions: numbers in an action.
+
+    Raises:
+        ValueError: a key that nobody knows how to mirror, or an action that is no joints' angles.
+    """
+    unknown = [key for key in keys if key not in _MIRRORS]
+    if unknown or num_actions != NUM_JOINTS:
+        what = f"observations with {', '.join(unknown)}" if unknown else f"actions of {num_actions} numbers"
+        raise ValueError(f"{what} have no mirror image, only {', '.join(_MIRRORS)} and the {NUM_JOINTS} joints")
+
+
+def act_both_ways(
+    act: Callable[[dict[str, np.ndarray]], np.ndarray], observation: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """The mean of what a policy would do, and of the mirror image of what it would do on the mirror image.
+
+    What a network errs by on one side it does not err by on the other, so that the mean errs less (docs/climbing.md).
+    Until its memory is full a policy acts on what it sees alone, see `begun`.
+
+    Args:
+        act: from observations (n, ...), not normalised, to actions (n, 12).
+        observation: (n, ...) by key.
+
+    Returns:
+        (n, 12) actions.
+    """
+    mirrored = mirror_observation(observation)
+    both = act({key: np.concatenate([value, mirrored[key]]) for key, value in observation.items()})
+    action, other = np.split(both, 2)
+    full = begun(observation[MEMORY_KEY]) if MEMORY_KEY in observation else np.ones(len(action), bool)
+    mean: np.ndarray = np.where(full[:, None], 0.5 * (action + mirror_joints(other)), action)
+    return mean.astype(action.dtype)
 
 
 def begun(memory: np.ndarray) -> np.ndarray:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from policies import pretrained
 from policies.make_env import CLIMB_ID, make_env
-from policies.train.imitation.mirror import begun, mirror_joints, mirror_observation
+from policies.mirror import act_both_ways, begun, check_mirrors, mirror_joints, mirror_observation
 from stair_env.observation import PROPRIO_SLICES
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.onboard.memory import LAGS, MEMORY_KEY
@@ -51,3 +52,42 @@ def test_the_mirrored_clock_is_half_a_cycle_away() -> None:
 def test_an_episode_has_begun_when_its_longest_memory_has() -> None:
     known = begun(walk()[MEMORY_KEY])
     assert not known[: max(LAGS) + 1].any() and known[max(LAGS) + 1 :].all()
+
+
+def test_acting_both_ways_on_the_mirror_image_is_the_mirror_image_of_the_action() -> None:
+    seen = walk()
+    weights = np.random.default_rng(1).normal(size=(sum(value.shape[1] for value in seen.values()), 12))
+
+    def act(observation: dict[str, np.ndarray]) -> np.ndarray:
+        return np.tanh(np.concatenate(list(observation.values()), axis=1) @ weights)
+
+    late = {key: value[-8:] for key, value in seen.items()}
+    assert begun(late[MEMORY_KEY]).all()
+    action, other = act_both_ways(act, late), act_both_ways(act, mirror_observation(late))
+    assert other == pytest.approx(mirror_joints(action), abs=1e-6)
+    assert not np.allclose(action, act(late))
+
+
+def test_before_the_memory_is_full_a_policy_acts_on_what_it_sees_alone() -> None:
+    first = {key: value[:1] for key, value in walk().items()}
+    assert not begun(first[MEMORY_KEY]).any()
+    act = lambda observation: observation["proprio"][:, :12]  # noqa: E731
+    assert np.array_equal(act_both_ways(act, first), act(first))
+
+
+def test_what_has_no_mirror_image_is_named() -> None:
+    check_mirrors(["proprio", "stair", "memory"], 12)
+    with pytest.raises(ValueError, match="privileged"):
+        check_mirrors(["proprio", "privileged"], 12)
+    with pytest.raises(ValueError, match="16 numbers"):
+        check_mirrors(["proprio"], 16)
+
+
+def test_the_shipped_joint_policy_is_symmetric_one_by_one_and_in_batches() -> None:
+    policy = pretrained.load("aliengo-joint")
+    seen = walk()
+    late = {key: value[-8:] for key, value in seen.items()}
+    actions = policy.predict(late)[0]
+    assert policy.predict(mirror_observation(late))[0] == pytest.approx(mirror_joints(actions), abs=1e-5)
+    alone = [policy.predict({key: value[row] for key, value in late.items()})[0] for row in range(8)]
+    assert np.stack(alone) == pytest.approx(actions, abs=1e-5)
