@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perception.deploy.onnx_actor import FORMAT, KEYS, MODEL, NOTE, STATISTICS
+from policies.joint_level.remembering import remembers
 from policies.pretrained import Policy, PolicyError, load
-from policies.remembering import remembers
 from stair_env.common.files import atomic_path
 
 if TYPE_CHECKING:

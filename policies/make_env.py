@@ -48,8 +48,8 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
 
     Args:
         env_id: a registered id.
-        env_kwargs: keyword arguments of the environment, and "memory": True for `policies.remembering`, "teacher": one
-            of `policies.teaching.TEACHERS`, or True for the gait.
+        env_kwargs: keyword arguments of the environment, and "memory": True for `policies.joint_level.remembering`,
+            "teacher": one of `policies.joint_level.teaching.TEACHERS`, or True for the gait.
         monitor: wrap in SB3's Monitor, which reports return and length of each episode in `info["episode"]`.
 
     Raises:
@@ -60,11 +60,11 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, monito
     memory, teacher = arguments.pop("memory", False), arguments.pop("teacher", None)
     env: gym.Env = CurriculumAccess(gym.make(env_id, disable_env_checker=True, **arguments))
     if memory:
-        from policies.remembering import Remembering
+        from policies.joint_level.remembering import Remembering
 
         env = Remembering(env)
     if teacher:
-        from policies.teaching import Teaching
+        from policies.joint_level.teaching import Teaching
 
         env = Teaching(env, "gait" if teacher is True else teacher)
     if not monitor:

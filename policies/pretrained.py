@@ -17,12 +17,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from policies.joint_level.mirror import act_both_ways, check_mirrors
+from policies.joint_level.remembering import Recall, remembers, without_memory
 from policies.make_env import ENV_IDS
-from policies.mirror import act_both_ways, check_mirrors
 from policies.portable import portable
-from policies.remembering import Recall, remembers, without_memory
 from policies.rollout import CONTROLS
 from policies.saved_models import SavedModel, SavedModelError, algorithm_in_arguments, read_model, read_pickle
+from policies.spaces import describe_difference, flatten
 from policies.train.checkpoints import MODEL_FILE, NORMALISATION_FILE
 from stair_env.common.files import read_json_object
 from stair_env.common.importing.extras import naming_extras
@@ -46,7 +47,8 @@ class Policy:
 
     Attributes:
         name: shipped name, or the folder it came from.
-        card: how it was trained and how well it does. With `symmetric` it acts by `policies.mirror.act_both_ways`.
+        card: how it was trained and how well it does; with `symmetric` it acts by
+            `policies.joint_level.mirror.act_both_ways`.
         algorithm: that trained it, a name in `policies.saved_models.ALGORITHMS`.
         model, normalisation: of Stable-Baselines3; no normalisation is None.
         observation_space, action_space: what it was trained on.
@@ -63,12 +65,8 @@ class Policy:
         self._recall = Recall(card) if remembers(self.observation_space) else None
         self._symmetric = bool(card.get("symmetric", False))
         if self._symmetric:
-            keys, size = (
-                getattr(self.observation_space, "spaces", {"one vector": None}),
-                self.action_space.shape or (0,),
-            )
             try:
-                check_mirrors(keys, size[0])
+                check_mirrors(self.observation_space, self.action_space)
             except ValueError as error:
                 raise PolicyError(f"policy {name!r} is symmetric by its card: {error}") from None
 
@@ -95,14 +93,10 @@ class Policy:
             observation = flatten(self._flattened, observation)
         if self._recall is not None and not remembers(observation):
             observation, state = self._recall.add(observation, state, episode_start)
-        if not self._symmetric:
-            return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
-        batched = np.ndim(next(iter(observation.values()))) == 2
-        batch = observation if batched else {key: np.asarray(value)[None] for key, value in observation.items()}
-        action = act_both_ways(
-            lambda seen: self.model.predict(self._normalised(seen), None, None, deterministic)[0], batch
-        )
-        return action if batched else action[0], state
+        if self._symmetric:
+            act = lambda seen: self.model.predict(self._normalised(seen), None, None, deterministic)[0]  # noqa: E731
+            return act_both_ways(act, observation), state
+        return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
 
     def _normalised(self, observation: Any) -> Any:
         return observation if self.normalisation is None else self.normalisation.normalize_obs(observation)
@@ -110,8 +104,8 @@ class Policy:
     def check_spaces(self, env: gym.Env) -> None:
         """Refuse an environment that the policy was not trained on.
 
-        A policy that remembers (`policies.remembering`) brings its memory along where the environment has none. A
-        policy that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
+        A policy that remembers (`policies.joint_level.remembering`) brings its memory along where the environment has
+        none. One that was trained on `gymnasium.wrappers.FlattenObservation` fits the environment without it, too.
 
         Raises:
             PolicyError: naming the space and both sides of the difference.
@@ -329,34 +323,6 @@ def add(folder: Path | str, name: str, weights: Path = WEIGHTS_FOLDER, evaluatio
         temporary.write_text(json.dumps(manifest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     write_card(target, name, card, curve, evaluations)
     return target
-
-
-def flatten(space: gym.spaces.Dict, observation: Mapping[str, Any]) -> np.ndarray:
-    """One vector of an observation, as `FlattenObservation` makes it, or one row for each of a batch."""
-    parts = []
-    for key, part in space.spaces.items():
-        values = np.asarray(observation[key])
-        batch = values.shape[: values.ndim - len(part.shape or ())]
-        parts.append(values.reshape(*batch, -1))
-    return np.concatenate(parts, axis=-1)
-
-
-def describe_difference(trained: gym.Space, given: gym.Space) -> str:
-    """In words, how two spaces differ; "" when a policy for one works on the other."""
-    if isinstance(trained, gym.spaces.Dict) and isinstance(given, gym.spaces.Dict):
-        if set(trained.spaces) != set(given.spaces):
-            return f"has keys {sorted(given.spaces)}, the policy was trained on {sorted(trained.spaces)}"
-        parts = ((key, describe_difference(space, given.spaces[key])) for key, space in trained.spaces.items())
-        return next((f"[{key!r}] {text}" for key, text in parts if text), "")
-    if type(trained) is not type(given) or trained.shape != given.shape or trained.dtype != given.dtype:
-        return f"is {_brief(given)}, the policy was trained on {_brief(trained)}"
-    if isinstance(trained, gym.spaces.Box) and isinstance(given, gym.spaces.Box) and trained != given:
-        return "has other bounds than the policy was trained on"
-    return ""
-
-
-def _brief(space: gym.Space) -> str:
-    return f"{type(space).__name__} of shape {space.shape}, {space.dtype}"
 
 
 def _manifest(weights: Path) -> dict[str, dict[str, str]]:

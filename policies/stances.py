@@ -1,7 +1,7 @@
 """Constant modulations of the gait, one upstairs and another downstairs: a wider and lower stance climbs where it ends.
 
-docs/climbing.md tells how they were found. `policies.train.warm_start` fits networks to them, `policies.teaching`
-teaches with them.
+docs/climbing.md tells how they were found. `policies.train.warm_start` fits networks to them,
+`policies.joint_level.teaching` teaches with them.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Ross, Gordon and Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning",
 AISTATS 2011. In each round environments are walked, first by the teacher, then more and more by the student; the
-teacher says at every control step what it would do (`policies.teaching`); the student, an ordinary Stable-Baselines3
-actor-critic policy, is fitted to all the advice so far. What comes out is a PPO model that `stair-env train
---start-from` goes on with.
+teacher says at every control step what it would do (`policies.joint_level.teaching`); the student, an ordinary
+Stable-Baselines3 actor-critic policy, is fitted to all the advice so far. What comes out is a PPO model that `stair-env
+train --start-from` goes on with.
 
 A run's folder holds `config.json`, `rounds/` (each round's observations and advice), `curve.csv` (one row a round),
 `checkpoints/` and at the end `final/`. `cpu_s` in the curve is the time of this process, without workers.
@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from policies.joint_level.mirror import begun, mirror_joints, mirror_observation
+from policies.joint_level.teaching import TEACHER_KEY
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
-from policies.mirror import begun, mirror_joints, mirror_observation
-from policies.teaching import TEACHER_KEY
 from policies.train import checkpoints
 from policies.train.imitation.run_folder import (
     CARD_FILE,
@@ -60,7 +60,7 @@ class ImitationConfig:
 
     Args:
         env_kwargs: keyword arguments of the environment, JSON-able; actuation="joint".
-        teacher: one of `policies.teaching.TEACHERS`.
+        teacher: one of `policies.joint_level.teaching.TEACHERS`.
         rounds: how many times to collect and fit.
         steps_per_round: control steps over all environments.
         num_envs: parallel environments.
@@ -75,7 +75,7 @@ class ImitationConfig:
         final_factor: see `updates`.
         batch_size: samples of a gradient step.
         learning_rate: at the start of a round; it falls to a twentieth.
-        symmetric: whether the policy, once learned, acts both ways (`policies.mirror.act_both_ways`).
+        symmetric: whether the policy, once learned, acts both ways (`policies.joint_level.mirror.act_both_ways`).
         net_arch: hidden layers of the actor; the critic has the same.
         episode_steps: longest episode while learning.
         vec_kind: see `policies.make_env.make_vec_env`.

@@ -16,7 +16,7 @@ from perception.deploy.climber import PARTS, StairClimber
 from perception.deploy.onnx_actor import ActorError, OnnxActor
 from perception.deploy.readings import BodyReading, CameraReading
 from policies.export_actor import export_actor
-from policies.pretrained import load
+from policies.pretrained import PolicyError, load
 from stair_env.physics.simulation import Simulation
 from stair_env.sensors.imu import Imu
 
@@ -47,6 +47,12 @@ class Taps:
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_actor(load("aliengo"), tmp_path_factory.mktemp("actor") / "aliengo")
+
+
+def test_a_policy_that_is_more_than_its_network_is_not_exported(tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match="aliengo-joint"):
+        export_actor(load("aliengo-joint"), tmp_path / "actor")
+    assert not (tmp_path / "actor").exists()
 
 
 def test_the_exported_actor_acts_like_the_policy(exported: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from policies.joint_level.teaching import TEACHER_KEY
 from policies.make_env import CLIMB_ID, make_env
-from policies.teaching import TEACHER_KEY
 from stair_env.observation import PROPRIO_SLICES
 from stair_env.onboard.memory import EDGES, FAR_M, LAGS, MEMORY_KEY, MOMENT_SIZE
 from stair_env.robots import NUM_JOINTS

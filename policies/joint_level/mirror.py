@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from stair_env.observation import PROPRIO_FIELDS, STAIR_FIELDS
@@ -85,19 +87,16 @@ _MIRRORS = {
 }
 
 
-def check_mirrors(keys: Iterable[str], num_actions: int) -> None:
+def check_mirrors(observation_space: gym.Space[Any], action_space: gym.Space[Any]) -> None:
     """Refuse what has no mirror image.
 
-    Args:
-        keys: of the observation.
-        num_actions: numbers in an action.
-
     Raises:
-        ValueError: a key that nobody knows how to mirror, or an action that is no joints' angles.
+        ValueError: the observation holds what nobody knows how to mirror, or the action is not the joints' angles.
     """
+    keys = observation_space.spaces if isinstance(observation_space, gym.spaces.Dict) else ("one vector",)
     unknown = [key for key in keys if key not in _MIRRORS]
-    if unknown or num_actions != NUM_JOINTS:
-        what = f"observations with {', '.join(unknown)}" if unknown else f"actions of {num_actions} numbers"
+    if unknown or action_space.shape != (NUM_JOINTS,):
+        what = f"observations of {', '.join(unknown)}" if unknown else f"actions of shape {action_space.shape}"
         raise ValueError(f"{what} have no mirror image, only {', '.join(_MIRRORS)} and the {NUM_JOINTS} joints")
 
 
@@ -111,17 +110,19 @@ def act_both_ways(
 
     Args:
         act: from observations (n, ...), not normalised, to actions (n, 12).
-        observation: (n, ...) by key.
+        observation: by key, with or without a leading axis (n, ...).
 
     Returns:
-        (n, 12) actions.
+        Actions (n, 12), or (12,).
     """
-    mirrored = mirror_observation(observation)
-    both = act({key: np.concatenate([value, mirrored[key]]) for key, value in observation.items()})
-    action, other = np.split(both, 2)
-    full = begun(observation[MEMORY_KEY]) if MEMORY_KEY in observation else np.ones(len(action), bool)
-    mean: np.ndarray = np.where(full[:, None], 0.5 * (action + mirror_joints(other)), action)
-    return mean.astype(action.dtype)
+    batched = np.ndim(observation["proprio"]) == 2
+    seen = {key: np.asarray(value) if batched else np.asarray(value)[None] for key, value in observation.items()}
+    mirrored = mirror_observation(seen)
+    action, other = np.split(act({key: np.concatenate([value, mirrored[key]]) for key, value in seen.items()}), 2)
+    full = begun(seen[MEMORY_KEY]) if MEMORY_KEY in seen else np.ones(len(action), bool)
+    mean = np.where(full[:, None], 0.5 * (action + mirror_joints(other)), action).astype(action.dtype)
+    answer: np.ndarray = mean if batched else mean[0]
+    return answer
 
 
 def begun(memory: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from policies.joint_level.teaching import TEACHER_KEY
 from policies.make_env import CLIMB_ID, make_env
-from policies.teaching import TEACHER_KEY
 from stair_env.common.constants import CONTROL_DT
 from stair_env.observation import PROPRIO_SLICES
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from policies import pretrained
+from policies.joint_level.mirror import act_both_ways, begun, check_mirrors, mirror_joints, mirror_observation
 from policies.make_env import CLIMB_ID, make_env
-from policies.mirror import act_both_ways, begun, check_mirrors, mirror_joints, mirror_observation
 from stair_env.observation import PROPRIO_SLICES
 from stair_env.onboard.kinematics import LegKinematics
 from stair_env.onboard.memory import LAGS, MEMORY_KEY
@@ -76,11 +77,14 @@ def test_before_the_memory_is_full_a_policy_acts_on_what_it_sees_alone() -> None
 
 
 def test_what_has_no_mirror_image_is_named() -> None:
-    check_mirrors(["proprio", "stair", "memory"], 12)
+    joints, seen = gym.spaces.Box(-1, 1, (12,)), {"proprio": gym.spaces.Box(-1, 1, (53,))}
+    check_mirrors(gym.spaces.Dict(seen), joints)
     with pytest.raises(ValueError, match="privileged"):
-        check_mirrors(["proprio", "privileged"], 12)
-    with pytest.raises(ValueError, match="16 numbers"):
-        check_mirrors(["proprio"], 16)
+        check_mirrors(gym.spaces.Dict({**seen, "privileged": joints}), joints)
+    with pytest.raises(ValueError, match="one vector"):
+        check_mirrors(joints, joints)
+    with pytest.raises(ValueError, match="16"):
+        check_mirrors(gym.spaces.Dict(seen), gym.spaces.Box(-1, 1, (16,)))
 
 
 def test_the_shipped_joint_policy_is_symmetric_one_by_one_and_in_batches() -> None:
