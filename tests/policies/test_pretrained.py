@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -142,24 +141,6 @@ def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
 def test_other_spaces_are_refused(weights: Path, toy_id: str) -> None:
     with pytest.raises(PolicyError, match=r"observation_space \['proprio'\].*\(4,\).*\(3,\)"):
         pretrained.load("toy", make_env(toy_id, {"size": 4}), weights)
-
-
-BOX = gym.spaces.Box(-1, 1, (2,))
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        (gym.spaces.Dict({"a": BOX}), ""),
-        (gym.spaces.Dict({"b": BOX}), "keys"),
-        (gym.spaces.Dict({"a": gym.spaces.Box(-1, 2, (2,))}), "bounds"),
-        (gym.spaces.Dict({"a": gym.spaces.Box(-1, 1, (2,), np.float64)}), "float64"),
-        (BOX, "Dict"),
-    ],
-)
-def test_differences_are_described(given: Any, expected: str) -> None:
-    text = pretrained.describe_difference(gym.spaces.Dict({"a": BOX}), given)
-    assert expected in text and bool(text) == bool(expected)
 
 
 def test_every_shipped_policy_loads() -> None:
