@@ -19,6 +19,7 @@ from perception.geometry.strips.strip_labels import RISER, TREAD, UNKNOWN
 from perception.geometry.strips.strip_planes import Faces, LineViews
 from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 
+LineSlopes = tuple[np.ndarray, np.ndarray, np.ndarray]  # see `read_nosings`
 DOWN, UP = -1, 1
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
@@ -174,14 +175,15 @@ class _Edge:
 
 
 def read_nosings(
-    section: Section, direction: int, slopes: tuple[np.ndarray, np.ndarray], faces: Faces, omega_m: float
+    section: Section, direction: int, slopes: LineSlopes, faces: Faces, omega_m: float
 ) -> tuple[tuple[Nosing, ...], dict[int, str]]:
     """Nosings nearest first, and the kind of every detected line that is an edge.
 
     Args:
         section: adjusted.
         direction: `walking_direction` of it, not 0.
-        slopes: height per forward metre at which the camera sees each line, and its standard deviation.
+        slopes: height per forward metre at which the camera sees each line, its standard deviation, and whether
+            detector and depth agree on the line.
         faces: what the section was built from.
         omega_m: smallest riser and tread that counts.
     """
@@ -295,14 +297,12 @@ def _finish(
     direction: int,
     edges: list[_Edge],
     index: int,
-    slopes: tuple[np.ndarray, np.ndarray],
+    slopes: LineSlopes,
     pitch_std: float,
     omega_m: float,
 ) -> Nosing:
     """Add riser and tread, where the faces that bound them are known and adjoin."""
-    edge = edges[index]
-    far = edges[index + 1] if index + 1 < len(edges) else None
-    near = edges[index - 1] if index > 0 else None
+    near, edge, far = edges[index - 1] if index else None, edges[index], (*edges, None)[index + 1]
     riser = _riser(section, direction, edge, near, slopes)
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
@@ -332,7 +332,7 @@ def _with_common_errors(measured: tuple[float, float], pitch_error_m: float) -> 
 
 
 def _riser(
-    section: Section, direction: int, edge: _Edge, near: _Edge | None, slopes: tuple[np.ndarray, np.ndarray]
+    section: Section, direction: int, edge: _Edge, near: _Edge | None, slopes: LineSlopes
 ) -> tuple[float, float] | None:
     """Height and standard deviation of the riser at a nosing: below it going up, beyond it going down."""
     face = edge.before + 1 if direction == DOWN else edge.before - 1
@@ -355,11 +355,12 @@ def _riser(
     return None
 
 
-def _by_foot(section: Section, edge: _Edge, slopes: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+def _by_foot(section: Section, edge: _Edge, slopes: LineSlopes) -> tuple[float, float] | None:
     """A riser from the line at its foot, where depth shows nothing of the tread before it."""
-    foot = section.last_line[edge.before - 1]
-    std = math.hypot(edge.forward * float(slopes[1][foot]), float(slopes[0][foot]) * edge.forward_std)
-    return edge.height - float(slopes[0][foot]) * edge.forward, math.hypot(edge.height_std, std)
+    foot, top = section.last_line[edge.before - 1], section.line[edge.before]
+    slope, slope_std = float(slopes[0][foot]), float(slopes[1][foot])
+    std = math.hypot(edge.forward * slope_std, slope * edge.forward_std, edge.height_std)
+    return (edge.height - slope * edge.forward, std) if slopes[2][foot] and slopes[2][top] else None
 
 
 def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> tuple[float, float] | None:

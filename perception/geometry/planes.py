@@ -197,7 +197,7 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
-    nosings, edge_kinds = read_nosings(section, direction, slopes, faces, omega_m)
+    nosings, edge_kinds = read_nosings(section, direction, (*slopes, checked.confirmed), faces, omega_m)
     edges = {int(checked.source[index]): kind for index, kind in edge_kinds.items() if checked.source[index] >= 0}
     geometry = Geometry(
         direction,

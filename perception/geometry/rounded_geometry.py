@@ -96,7 +96,8 @@ def measure_rounded(
     section = Section(fit.kind, fit.value, fit.covariance, order, order)
     angle_cov = np.diag([float(covariance[0, 0]), fit.turn_std_rad**2, float(covariance[1, 1])])
     faces = Faces(fit.kind, fit.value, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), rotation, angle_cov)
-    nosings, kinds = read_nosings(section, fit.direction, (slope[used], slope_std[used]), faces, omega_m)
+    seen_alone = np.zeros(len(used), bool)  # here every face is fitted, and none is read from its lines alone
+    nosings, kinds = read_nosings(section, fit.direction, (slope[used], slope_std[used], seen_alone), faces, omega_m)
     nosings = tuple(_without_guesses(nosing) for nosing in nosings)
     yaw_std = math.sqrt(max(float(covariance[1, 1]), 0.0))
     edges = {int(sure[used[index]]): kind for index, kind in kinds.items()}
