@@ -21,6 +21,7 @@ from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
 
 LineSlopes = tuple[np.ndarray, np.ndarray, np.ndarray]  # see `read_nosings`
 DOWN, UP = -1, 1
+MIN_TREAD_M = 0.18  # no foot stands on less: two lines within one tread, and the riser beside them is no riser either
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 UNEVENNESS_STD_M = 0.012  # of the steps of one flight: old stairs; codes allow 9.5 mm between largest and smallest
@@ -303,15 +304,14 @@ def _finish(
 ) -> Nosing:
     """Add riser and tread, where the faces that bound them are known and adjoin."""
     near, edge, far = edges[index - 1] if index else None, edges[index], (*edges, None)[index + 1]
+    ascending = direction == UP
     riser = _riser(section, direction, edge, near, slopes)
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
-    if tread is not None and (
-        not omega_m <= tread[0] <= MEASURABLE_TREAD_M
-        or tread[1] > MAX_TREAD_STD_M
-        or (direction == DOWN and riser is None)
-    ):
+    if tread is not None and tread[0] < MIN_TREAD_M:
+        riser = tread = None
+    if tread is not None and (tread[0] > MEASURABLE_TREAD_M or tread[1] > MAX_TREAD_STD_M or not (riser or ascending)):
         tread = None
     return Nosing(
         distance_m=edge.forward,

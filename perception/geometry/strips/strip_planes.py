@@ -13,7 +13,7 @@ stairs, left, and up from the camera, metres.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ MIN_OVERLAP_PX = 16.0
 MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 6.0
 
 DEPTH_SIGMA_PER_M2 = 0.0036  # RMS depth error of the D435i at 1 m, grows with Z^2: 0.08 px / (447 px * 0.05 m)
+MAX_NOISE = 2.5  # times that; matched depth and the error model have 1.8 and 2.1 (medians of 12 frames)
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute values, in standard deviations
 DEPTH_FLOOR_M = 0.004  # unevenness of real treads and quantised disparity
 PATCH_PX = 28.0  # side of an image patch that counts as one reading: stereo matching correlates its pixels
 PATCH_IMAGE_WIDTH_PX = 640.0  # of the image for which PATCH_PX holds
@@ -51,12 +53,14 @@ class Strips:
         depth_m: (K, N) distance along the optical axis; 0 where there is no reading.
         ok: (K, N) whether the point counts.
         points_per_reading: (K,) points that together say as much as one independent reading.
+        noise: of this frame's depth, in units of DEPTH_SIGMA_PER_M2.
     """
 
     rays: np.ndarray
     depth_m: np.ndarray
     ok: np.ndarray
     points_per_reading: np.ndarray
+    noise: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,7 @@ def fit_faces(strips: Strips, camera_to_stair: np.ndarray, views: LineViews, gra
         Faces.
     """
     rotation = np.array(camera_to_stair, dtype=np.float64)
+    strips = replace(strips, noise=_noise(strips, rotation))
     turned = np.zeros(3)
     cov = np.diag([gravity_std_rad**2, gravity_std_rad**2, 0.1**2])
     fit = _fit_each(strips, rotation, views)
@@ -220,6 +225,16 @@ def _fit_each(strips: Strips, rotation: np.ndarray, views: LineViews) -> _Fit:
     return _Fit(kind, np.where(is_riser, riser.value, tread.value), np.where(is_riser, riser.std, tread.std))
 
 
+def _noise(strips: Strips, rotation: np.ndarray) -> float:
+    """What a frame's depth scatters by about the faces that explain it best, in units of DEPTH_SIGMA_PER_M2."""
+    tread, riser = explain_strips(strips, rotation, ROW_SAMPLES)
+    enough = strips.ok.sum(axis=1) >= MIN_POINTS
+    if not enough.any():
+        return 1.0
+    scatter = median(np.minimum(tread.scatter, riser.scatter)[enough])
+    return min(max(scatter / MEDIAN_OF_NORMAL, 1.0), MAX_NOISE)
+
+
 def explain_strips(strips: Strips, camera_to_stair: np.ndarray, rows: int) -> tuple[Candidate, Candidate]:
     """Every strip as a tread, and every strip as a riser.
 
@@ -246,7 +261,7 @@ def _points(strips: Strips, rotation: np.ndarray) -> tuple[Any, ...]:
         strips.ok,
         strips.points_per_reading,
         rotation,
-        DEPTH_SIGMA_PER_M2,
+        DEPTH_SIGMA_PER_M2 * strips.noise,
         DEPTH_FLOOR_M,
         ROBUST_CUT,
     )
