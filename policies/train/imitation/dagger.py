@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from policies.joint_level.mirror import begun, mirror_joints, mirror_observation
 from policies.joint_level.teaching import TEACHER_KEY
 from policies.make_env import CLIMB_ID, make_vec_env, normalise
 from policies.train import checkpoints
+from policies.train.imitation.lessons import drop_idle_inputs, fit, normalisation_of, read_lesson
 from policies.train.imitation.run_folder import (
     CARD_FILE,
     CHECKPOINT_FOLDER,
@@ -39,19 +39,16 @@ from policies.train.imitation.run_folder import (
 )
 from stair_env.common.field_kinds import naming_fields
 from stair_env.common.files import provenance, read_json_object, write_json
-from stair_env.onboard.memory import MEMORY_KEY, STAIR_KEY
+from stair_env.onboard.memory import STAIR_KEY
 
 if TYPE_CHECKING:
-    import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecNormalize
 
 LOGGER = logging.getLogger(__name__)
 
 LOG_STD_INIT = -3.0  # of the student's exploration, should PPO go on: exp(-3) = 0.05 of the action scale
 NOISE_MEMORY = 0.9  # share of the teacher's noise that lasts into the next control step; white noise makes feet slip
 GAMMA = 0.99
-OUTLIER = 0.1  # of the action: advice farther off counts in proportion, not squared; mostly it comes too late
 
 
 @dataclass(frozen=True)
@@ -112,9 +109,6 @@ class ImitationConfig:
             raise ValueError(f"alone_share={self.alone_share!r} must lie in 0..1")
 
 
-Lesson = tuple["torch.Tensor", "torch.Tensor"]  # features (n, features_dim) and advice (n, action size)
-
-
 def imitate(
     config: ImitationConfig,
     folder: Path | str,
@@ -161,6 +155,8 @@ def imitate(
             lessons.append(read_lesson(model, samples))
             updates = config.updates * (config.final_factor if number == config.rounds - 1 else 1)
             loss = fit(model, lessons, updates, config, rng)
+            if number == config.rounds - 1:
+                drop_idle_inputs(model, lessons)
             model.num_timesteps += _steps(config)
             row = {"round": number, "timesteps": model.num_timesteps, "loss": loss, **walked}
             row["wall_s"] = round(time.monotonic() - start + (curve[-1]["wall_s"] if curve else 0.0), 1)
@@ -203,7 +199,7 @@ def collect(
         The observations that were met with the teacher's advice, and how the episodes went: `alone_episodes` are those
         that the student walked from beginning to end, `alone_successes` how many of them arrived.
     """
-    venv = _normalised(model)
+    venv = normalisation_of(model)
     count, steps = config.num_envs, _steps(config) // config.num_envs
     share = np.array([_draw_share(number, config, rng) for _ in range(count)])
     noise = np.zeros((count, *(venv.action_space.shape or ())))
@@ -231,61 +227,6 @@ def collect(
     return {key: np.concatenate(values) for key, values in kept.items()}, tally
 
 
-def fit(model: PPO, lessons: list[Lesson], updates: int, config: ImitationConfig, rng: np.random.Generator) -> float:
-    """Fit the student's mean action to the advice.
-
-    Args:
-        model: the student.
-        lessons: of all rounds.
-        updates: gradient steps.
-        config: of the run.
-        rng: draws the batches.
-
-    Returns:
-        Root of the mean squared difference, with outliers' capped, over the last tenth of the batches, in units of the
-        action.
-    """
-    import torch
-
-    policy: Any = model.policy
-    features, advice = (torch.cat(parts) for parts in zip(*lessons))
-    learning = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
-    optimiser = torch.optim.Adam(learning, lr=config.learning_rate, fused=True)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates, config.learning_rate / 20)
-    losses = []
-    for _ in range(updates):
-        rows = torch.as_tensor(rng.integers(0, len(advice), config.batch_size))
-        mean = policy.action_net(policy.mlp_extractor.forward_actor(features[rows]))
-        loss = torch.nn.functional.smooth_l1_loss(mean, advice[rows], beta=OUTLIER)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
-        losses.append(float(loss.detach()) * 2 * OUTLIER)
-    return float(np.sqrt(np.mean(losses[-max(updates // 10, 1) :])))
-
-
-def read_lesson(model: PPO, samples: Samples) -> Lesson:
-    """What the actor's network reads of each observation, and the advice; and the same on the mirror images.
-
-    Nothing between the observation and the network learns, so that this is worked out once for all updates, and after
-    the statistics are final.
-    """
-    import torch
-
-    policy: Any = model.policy
-    seen = {key: samples[key] for key in samples if key != TEACHER_KEY}
-    turned = begun(seen[MEMORY_KEY])
-    mirrored = mirror_observation({key: value[turned] for key, value in seen.items()})
-    both = {key: np.concatenate([value, mirrored[key]]) for key, value in seen.items()}
-    advice = np.concatenate([samples[TEACHER_KEY], mirror_joints(samples[TEACHER_KEY][turned])])
-    shown: Any = _normalised(model).normalize_obs(both)
-    observation = {key: torch.as_tensor(value, dtype=torch.float32) for key, value in shown.items()}
-    with torch.no_grad():
-        features = policy.extract_features(observation, policy.pi_features_extractor)
-    return features, torch.as_tensor(advice)
-
-
 def _draw_share(number: int, config: ImitationConfig, rng: np.random.Generator) -> float:
     """The student's share of the action in an episode, 0..1."""
     handed_over = min(max(number + 1 - config.teacher_rounds, 0) / config.handover_rounds, 1.0)
@@ -307,12 +248,6 @@ def _rate(row: Mapping[str, Any]) -> float:
 def _steps(config: ImitationConfig) -> int:
     """Control steps of a round."""
     return max(config.steps_per_round // config.num_envs, 1) * config.num_envs
-
-
-def _normalised(model: PPO) -> VecNormalize:
-    venv = model.get_vec_normalize_env()
-    assert venv is not None
-    return venv
 
 
 def _new_model(config: ImitationConfig, venv: Any) -> PPO:
@@ -346,7 +281,7 @@ def _load_model(venv: Any, checkpoint: Path) -> PPO:
 
 def _fix_normalisation(model: PPO, samples: Samples) -> None:
     """Statistics of the teacher's round, which stay: weights and what they are fitted on must not drift apart."""
-    venv = _normalised(model)
+    venv = normalisation_of(model)
     for key in venv.norm_obs_keys or ():
         statistics = venv.obs_rms[key]
         statistics.mean = samples[key].mean(axis=0, dtype=np.float64)

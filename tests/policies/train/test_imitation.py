@@ -13,6 +13,7 @@ import pytest
 from policies import pretrained
 from policies.make_env import CLIMB_ID, make_env
 from policies.train.imitation.dagger import ImitationConfig, imitate
+from stair_env.observation import STAIR_FIELDS
 
 CONFIG = ImitationConfig(
     {"actuation": "joint", "direction": "both"},
@@ -38,6 +39,26 @@ def test_the_student_comes_nearer_to_the_teacher(tmp_path: Path) -> None:
     action, _ = policy.predict(env.reset(seed=0)[0])
     assert env.action_space.contains(action)
     env.close()
+
+
+def test_age_and_confidence_do_not_matter_to_who_learned_on_the_truth(tmp_path: Path) -> None:
+    """A camera's block is older and less sure than any that was seen in learning."""
+    card = imitate(CONFIG, tmp_path)
+    assert card["symmetric"]
+    policy = pretrained.load(tmp_path / "final")
+    env = make_env(CLIMB_ID, {**CONFIG.env_kwargs, "memory": True})
+    seen = env.reset(seed=1)[0]
+    env.close()
+    assert seen["stair"][0] == 1.0
+
+    def act(**changes: float) -> np.ndarray:
+        stair = seen["stair"].copy()
+        for name, value in changes.items():
+            stair[STAIR_FIELDS.index(name)] = value
+        return policy.predict({**seen, "stair": stair})[0]
+
+    assert act(age=1.5, confidence=0.2) == pytest.approx(act(), abs=1e-6)
+    assert not np.allclose(act(edge_distance=0.1), act(), atol=1e-4)
 
 
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
