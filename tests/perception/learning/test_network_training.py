@@ -12,7 +12,7 @@ from perception.data.label_grid import encode_grid
 from perception.data.stair_dataset import Sample, StairDataset
 from perception.data.writer import DatasetPlan, write_missing
 from perception.learning.frames import EpochSampler, FrameModule, GridFrames, halved
-from perception.learning.network_training import StairNetTraining, _flushed_denormals, train
+from perception.learning.network_training import StairNetTraining, _flushed_denormals, _usable_precision, train
 from perception.learning.presets import PRESETS, TrainingPreset
 from perception.network import StairNetV2
 from perception.reproduction.table5_detection import as_rows, evaluate_detector, splits_of
@@ -202,3 +202,11 @@ def test_a_damaged_checkpoint_is_named(data, tmp_path):
     (tmp_path / "last.ckpt").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(ValueError, match=r"last.ckpt: damaged"):
         trained(data, tmp_path, QUICK, resume=True)
+
+
+@pytest.mark.parametrize(("units", "precision"), [(True, "bf16-mixed"), (False, "32-true")])
+def test_bfloat16_is_for_processors_that_have_it(monkeypatch: pytest.MonkeyPatch, units: bool, precision: str) -> None:
+    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: units)
+    assert _usable_precision("bf16-mixed", "cpu") == precision
+    assert _usable_precision("32-true", "cpu") == "32-true"
+    assert _usable_precision("bf16-mixed", "gpu") == "bf16-mixed"
