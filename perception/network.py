@@ -40,10 +40,11 @@ class RawOutput(NamedTuple):
 
 
 class GroupedConv3x3(nn.Module):
-    """3 x 3 grouped convolution without bias whose arithmetic can run dense.
+    """3 x 3 grouped convolution without bias, computed in one of three ways with the same results and gradients.
 
-    CPU kernels for a handful of channels per group are several times slower than one dense convolution over all
-    channels, whose weight is zero between the groups. Parameters, gradients and results are those of the grouped form.
+    torch's CPU kernels for a handful of channels per group are several times slower than one dense convolution over all
+    channels, whose weight is zero between the groups (`dense`), and that three to five times slower than our own
+    (`compiled`), which knows float32 on the processor and leaves all else to the others.
 
     Args:
         channels: in and out.
@@ -58,22 +59,36 @@ class GroupedConv3x3(nn.Module):
             raise ValueError(f"groups={groups} must divide channels={channels}")
         self.channels, self.groups, self.stride, self.dilation = channels, groups, stride, dilation
         self.weight = nn.Parameter(torch.empty(channels, channels // groups, 3, 3))
-        self.dense = False
+        self.dense = self.compiled = False
         nn.init.kaiming_normal_(self.weight, mode="fan_out", nonlinearity="relu")
 
-    def dense_weight(self) -> Tensor:
-        """(channels, channels, 3, 3) block-diagonal form of the weight."""
+    def dense_weight(self, weight: Tensor) -> Tensor:
+        """(channels, channels, 3, 3) block-diagonal form of a weight (channels, channels / groups, 3, 3)."""
         per_group = self.channels // self.groups
-        blocks = self.weight.view(self.groups, per_group, 1, per_group, 3, 3)
-        eye = torch.eye(self.groups, dtype=self.weight.dtype, device=self.weight.device)
+        blocks = weight.view(self.groups, per_group, 1, per_group, 3, 3)
+        eye = torch.eye(self.groups, dtype=weight.dtype, device=weight.device)
         spread = blocks * eye.view(self.groups, 1, self.groups, 1, 1, 1)
         return spread.reshape(self.channels, self.channels, 3, 3)
 
+    def convolve(self, x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+        """What `forward` does, with another weight of the same shape and a bias (channels,)."""
+        if (
+            self.compiled
+            and x.dtype == torch.float32
+            and x.device.type == "cpu"
+            and not torch.is_autocast_enabled("cpu")
+        ):
+            from perception.grouped_convolution import grouped_convolution
+
+            rows, columns = (self.dilation,) * 2 if isinstance(self.dilation, int) else self.dilation
+            return grouped_convolution(x, weight, bias, self.stride, (rows, columns))
+        if self.dense:
+            return F.conv2d(x, self.dense_weight(weight), bias, self.stride, self.dilation, self.dilation)
+        return F.conv2d(x, weight, bias, self.stride, self.dilation, self.dilation, self.groups)
+
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) -> (B, C, H / stride, W / stride)."""
-        if self.dense:
-            return F.conv2d(x, self.dense_weight(), None, self.stride, self.dilation, self.dilation)
-        return F.conv2d(x, self.weight, None, self.stride, self.dilation, self.dilation, self.groups)
+        return self.convolve(x, self.weight)
 
 
 def use_dense_convolutions(network: nn.Module, dense: bool = True) -> None:
@@ -81,6 +96,16 @@ def use_dense_convolutions(network: nn.Module, dense: bool = True) -> None:
     for module in network.modules():
         if isinstance(module, GroupedConv3x3):
             module.dense = dense
+
+
+def use_compiled_convolutions(network: nn.Module, compiled: bool = True) -> None:
+    """Choose whether our own kernels compute the grouped convolutions where they can, see `GroupedConv3x3`.
+
+    They are for training: `perception.inference` has faster ways to run a network, and exporting one needs torch's own.
+    """
+    for module in network.modules():
+        if isinstance(module, GroupedConv3x3):
+            module.compiled = compiled
 
 
 def _normed(norm: nn.Module, weight: Tensor) -> tuple[Tensor, Tensor]:
@@ -97,9 +122,7 @@ def _conv_norm(conv: nn.Conv2d | GroupedConv3x3, norm: nn.Module, x: Tensor) -> 
     if isinstance(conv, nn.Conv2d):
         weight, bias = _normed(norm, conv.weight)
         return F.conv2d(x, weight, bias, conv.stride, conv.padding, conv.dilation, conv.groups)
-    weight, bias = _normed(norm, conv.dense_weight() if conv.dense else conv.weight)
-    groups = 1 if conv.dense else conv.groups
-    return F.conv2d(x, weight, bias, conv.stride, conv.dilation, conv.dilation, groups)
+    return conv.convolve(x, *_normed(norm, conv.weight))
 
 
 def use_merged_norms(network: nn.Module, merged: bool = True) -> None:

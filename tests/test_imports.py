@@ -46,6 +46,7 @@ FLOW = (
     "stair_env.parts",
     "stair_env.env stair_env.vector",
     "stair_env.rgbd stair_env.entry_points stair_env.flat_info",
+    "perception.grouped_convolution",
     "perception.network",
     "perception.geometry.line_kernels",
     "perception.geometry.lines",

@@ -67,5 +67,7 @@ def _plain(conv: GroupedConv3x3, dense: bool) -> nn.Conv2d:
     groups = 1 if dense else conv.groups
     d = conv.dilation
     plain = nn.Conv2d(conv.channels, conv.channels, 3, conv.stride, d, d, groups, bias=False)
-    plain.weight = nn.Parameter((conv.dense_weight() if dense else conv.weight).detach().clone(), requires_grad=False)
+    plain.weight = nn.Parameter(
+        (conv.dense_weight(conv.weight) if dense else conv.weight).detach().clone(), requires_grad=False
+    )
     return plain.eval()

@@ -27,7 +27,7 @@ from perception.learning.frames import Batch, FrameModule
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.learning.metrics import DetectionCounts, count_cells
 from perception.learning.presets import Precision, TrainingPreset
-from perception.network import StairNetV2, use_merged_norms
+from perception.network import StairNetV2, use_compiled_convolutions, use_merged_norms
 
 LOGGER = logging.getLogger(__name__)
 
@@ -206,8 +206,10 @@ def train(
         reload_dataloaders_every_n_epochs=1,
         log_every_n_steps=10,
     )
+    use_compiled_convolutions(module.network)
     with _flushed_denormals():
         trainer.fit(module, datamodule=frames, ckpt_path=str(last) if resume and last.is_file() else None)
+    use_compiled_convolutions(module.network, False)
     use_merged_norms(module.network, False)
     module.network.eval()
 

@@ -30,6 +30,8 @@ NAMES = (
     "perceived-frame",
     "perceived-frame-walking",
     "batch",
+    "training-0.25",
+    "training-0.5",
     "deploy-body",
     "deploy-network",
     "deploy-geometry",

@@ -22,6 +22,7 @@ from stair_env_cli.bench.timing import Row, seconds_per_call, time_pair
 CELL_WIDTH_PX, CELL_HEIGHT_PX = 32, 16
 CLUSTER_PX = 8.0  # how far a segment's middle may lie from a line that it joins
 MANY_ENVS = 8
+TRAINED_FRAMES = 4
 PERCEPTION_ID = "stair_env/StairClimbPerception-v0"
 WALKED_STEPS = 24  # half a second: the robot trots and the stairs are ahead
 MIN_CELLS = 40  # of a frame worth timing: a few stair lines across the picture
@@ -298,6 +299,37 @@ def batched_frames(rounds: int, backend: str) -> Row:
     )
 
 
+def training_step(rounds: int, backend: str, width: float) -> Row:
+    """Forward and backward over a batch of fine-tuning: our grouped convolutions against dense ones, on one thread."""
+    import torch
+
+    from perception.network import StairNetV2, use_compiled_convolutions, use_merged_norms
+
+    network = StairNetV2(width).eval().use_dense_convolutions()
+    use_merged_norms(network)
+    rgb, depth = torch.randn(TRAINED_FRAMES, 3, 512, 512), torch.randn(TRAINED_FRAMES, 1, 512, 512)
+
+    def step(compiled: bool) -> None:
+        use_compiled_convolutions(network, compiled)
+        network.zero_grad()
+        raw = network.forward_raw(rgb, depth)
+        (raw.cls_logits.square().mean() + raw.loc.square().mean()).backward()
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        return time_pair(
+            f"training step of {TRAINED_FRAMES} frames, {width:g}x: own convolutions / dense",
+            seconds_per_call(lambda: step(True)),
+            seconds_per_call(lambda: step(False)),
+            rounds=rounds,
+            warm_up=2,
+            target=1.2,
+        )
+    finally:
+        torch.set_num_threads(threads)
+
+
 ROWS: dict[str, Callable[[int, str], Row]] = {  # of the number of rounds and the back end
     "network-0.25": functools.partial(fast_against_eager, width=0.25, target=2.0),
     "network-1": functools.partial(fast_against_eager, width=1.0, target=1.6),
@@ -305,4 +337,6 @@ ROWS: dict[str, Callable[[int, str], Row]] = {  # of the number of rounds and th
     "perceived-frame": perceived_frame,
     "perceived-frame-walking": perceived_frame_walking,
     "batch": batched_frames,
+    "training-0.25": functools.partial(training_step, width=0.25),
+    "training-0.5": functools.partial(training_step, width=0.5),
 }

@@ -91,18 +91,20 @@ def test_both_inputs_matter():
         assert (network(rgb, -depth)[1] - plain).abs().max() > 1e-4
 
 
-@pytest.mark.parametrize(("stride", "dilation"), [(1, 1), (2, 1), (1, 4)])
-def test_dense_arithmetic_equals_grouped(stride, dilation):
-    conv = GroupedConv3x3(16, 8, stride, dilation)
-    x = torch.randn(2, 16, 24, 24)
+@pytest.mark.parametrize("way", ["dense", "compiled"])
+@pytest.mark.parametrize(("stride", "dilation"), [(1, 1), (2, 1), (1, 4), (1, (1, 8)), (2, (2, 3)), (3, 1)])
+def test_every_arithmetic_equals_the_grouped(stride, dilation, way):
+    conv, bias = GroupedConv3x3(16, 8, stride, dilation), torch.randn(16, requires_grad=True)
+    x = torch.randn(3, 16, 24, 21, requires_grad=True)
     results = []
-    for dense in (False, True):
-        conv.dense, conv.weight.grad = dense, None
-        y = conv(x)
-        y.square().sum().backward()
-        results.append((y.detach(), conv.weight.grad.clone()))
-    torch.testing.assert_close(results[0][0], results[1][0], atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(results[0][1], results[1][1], atol=1e-2, rtol=1e-3)
+    for chosen in (False, True):
+        setattr(conv, way, chosen)
+        conv.weight.grad = x.grad = bias.grad = None
+        y = conv.convolve(x, conv.weight, bias)
+        (y * torch.linspace(-1, 1, y.numel()).view(y.shape)).sum().backward()
+        results.append([y.detach(), x.grad, conv.weight.grad, bias.grad])
+    for grouped, other in zip(*results, strict=True):
+        torch.testing.assert_close(other, grouped, atol=1e-4, rtol=1e-4)
 
 
 @pytest.mark.parametrize("dense", [False, True])
