@@ -17,11 +17,11 @@ import numpy as np
 from perception.geometry.results import Nosing, StepMeasurement
 from perception.geometry.strips.strip_labels import RISER, TREAD, UNKNOWN
 from perception.geometry.strips.strip_planes import Faces, LineViews
-from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M
+from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M, TREAD_RANGE_M
 
 LineSlopes = tuple[np.ndarray, np.ndarray, np.ndarray]  # see `read_nosings`
 DOWN, UP = -1, 1
-MIN_TREAD_M = 0.18  # no foot stands on less: two lines within one tread, and the riser beside them is no riser either
+MIN_TREAD_M = 0.9 * TREAD_RANGE_M[0]  # less is two lines within one tread, and the riser beside them is none either
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 UNEVENNESS_STD_M = 0.012  # of the steps of one flight: old stairs; codes allow 9.5 mm between largest and smallest

@@ -39,9 +39,10 @@ class RandomDetector:
 
 
 @functools.cache
-def frame(direction: str = "up") -> tuple[np.ndarray, np.ndarray, np.ndarray, list[LineLabel]]:
+def frame(direction: str = "up", tread: float = 0.30) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[LineLabel]]:
     """rgb, depth, gravity, labels of a rendered staircase."""
-    scene = Scene(SceneSpec(StairSpec(direction=direction, riser_height=0.15, tread_depth=0.30)))  # type: ignore[arg-type]
+    spec = StairSpec(direction=direction, riser_height=tread / 2, tread_depth=tread)  # type: ignore[arg-type]
+    scene = Scene(SceneSpec(spec))
     floor = float(scene.spec.stairs.profile().level_z[0])  # type: ignore[union-attr]
     pose = look_along(np.array([-0.9, 0.0, floor + 0.9]), 0.1, 0.5 if direction == "up" else 0.75, 0.03)
     drawn = make_renderer("raycast", scene).render(CAMERA, pose)
@@ -91,6 +92,18 @@ def test_measures_what_is_there(direction: str, sign: int) -> None:
     assert estimate.roll_rad == pytest.approx(0.03, abs=0.01)
     lowest = [line.y1 + line.y2 for line in estimate.lines]
     assert lowest == sorted(lowest, reverse=True)
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+@pytest.mark.parametrize("tread", [0.15, 0.20])
+def test_the_narrowest_treads_of_the_environments_are_measured(direction: str, tread: float) -> None:
+    rgb, depth, gravity, labels = frame(direction, tread)
+    detector = IdealDetector()
+    detector.show(labels, CAMERA.width, CAMERA.height)
+    steps = StairEstimator(detector=detector).estimate(rgb, depth, CAMERA, gravity).steps
+    assert steps
+    for step in steps[:2]:
+        assert (step.width_m, step.height_m) == pytest.approx((tread, tread / 2), abs=0.006)
 
 
 def test_detect_gives_the_grids() -> None:
