@@ -105,6 +105,16 @@ def _pool() -> ThreadPoolExecutor:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _layout(
+    size: int, height: int, width: int, stride: int, rows: int, columns: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Empty planes of a group, and the plane and its first column that each of a kernel row's three taps reads."""
+    planes = np.zeros((stride, size, height + 2 * rows, width // stride + 2 * columns + 1), np.float32)
+    offsets = columns * np.arange(3)
+    return planes, offsets % stride, offsets // stride
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fill(x: np.ndarray, stride: int, rows: int, columns: int, planes: np.ndarray) -> None:
     """A group's channels (C / groups, H, W) to planes."""
     channels, height, width = x.shape
@@ -150,9 +160,7 @@ def _convolve(
     """x (B, C, H, W) to out (B, C, H / stride, W / stride)."""
     images, channels, height, width = x.shape
     size, out_height, out_width = weight.shape[1], out.shape[2], out.shape[3]
-    planes = np.zeros((stride, size, height + 2 * rows, width // stride + 2 * columns + 1), np.float32)
-    start = np.array([0, columns // stride, 2 * columns // stride])
-    phase = np.array([0, columns % stride, 2 * columns % stride])
+    planes, phase, start = _layout(size, height, width, stride, rows, columns)
     for n in range(images):
         for first in range(0, channels, size):
             _fill(x[n, first : first + size], stride, rows, columns, planes)
@@ -176,9 +184,7 @@ def _weight_slope(x: np.ndarray, slope: np.ndarray, size: int, stride: int, rows
     """Gradient of the weight, (C, C / groups, 3, 3), from that of the result."""
     images, channels, height, width = x.shape
     out_height, out_width = slope.shape[2], slope.shape[3]
-    planes = np.zeros((stride, size, height + 2 * rows, width // stride + 2 * columns + 1), np.float32)
-    start = np.array([0, columns // stride, 2 * columns // stride])
-    phase = np.array([0, columns % stride, 2 * columns % stride])
+    planes, phase, start = _layout(size, height, width, stride, rows, columns)
     total = np.zeros((channels, size, 3, 3), np.float32)
     for n in range(images):
         for first in range(0, channels, size):
@@ -208,7 +214,7 @@ def _spread_back(slope: np.ndarray, weight: np.ndarray, stride: int, rows: int, 
     """Gradient of the input, as out (B, C, H, W), from that of the result."""
     images, channels, height, width = out.shape
     size, out_height, out_width = weight.shape[1], slope.shape[2], slope.shape[3]
-    planes = np.empty((stride, size, height + 2 * rows, width // stride + 2 * columns + 1), np.float32)
+    planes, phase, begin = _layout(size, height, width, stride, rows, columns)
     for n in range(images):
         for first in range(0, channels, size):
             planes[:] = 0.0
@@ -217,10 +223,10 @@ def _spread_back(slope: np.ndarray, weight: np.ndarray, stride: int, rows: int, 
                     row = slope[n, o, y]
                     for i in range(size):
                         for tap in range(9):
-                            offset = tap % 3 * columns
-                            start = offset // stride
-                            into = planes[offset % stride, i, y * stride + tap // 3 * rows, start : start + out_width]
-                            factor = weight[o, i, tap // 3, tap % 3]
+                            down, along = tap // 3, tap % 3
+                            at, start = y * stride + down * rows, begin[along]
+                            into = planes[phase[along], i, at, start : start + out_width]
+                            factor = weight[o, i, down, along]
                             for k in range(out_width):
                                 into[k] += factor * row[k]
             _empty(planes, stride, rows, columns, out[n, first : first + size])
