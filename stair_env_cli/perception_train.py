@@ -20,6 +20,7 @@ from stair_env_cli.arguments import (
 )
 
 ACCELERATORS = ("auto", "cpu", "gpu")
+PRECISIONS = ("32-true", "bf16-mixed")
 VALIDATION_FRAMES = 60  # after each epoch, in each of four conditions of depth
 
 
@@ -38,6 +39,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--epochs", type=positive_int, help="instead of the preset's")
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
     parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, help="32-true: float32; bf16-mixed: bfloat16; instead of the preset's"
+    )
     parser.add_argument(
         "--small-share", type=share, metavar="SHARE", help="share of the epochs at half size, instead of the preset's"
     )
@@ -92,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         "epochs": args.epochs,
         "frames_per_epoch": args.frames_per_epoch,
         "learning_rate": args.learning_rate,
+        "precision": args.precision,
         "small_share": args.small_share,
     }
     chosen = {name: value for name, value in chosen.items() if value is not None}
