@@ -8,7 +8,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from stair_env.common.constants import FUSION_STAGES, TRAINING_PRESETS
+from stair_env.common.constants import FUSION_STAGES, TRAINING_PRECISIONS, TRAINING_PRESETS
 from stair_env_cli.arguments import (
     WIDTH_NAMES,
     add_common_arguments,
@@ -20,7 +20,6 @@ from stair_env_cli.arguments import (
 )
 
 ACCELERATORS = ("auto", "cpu", "gpu")
-PRECISIONS = ("32-true", "bf16-mixed")
 VALIDATION_FRAMES = 60  # after each epoch, in each of four conditions of depth
 
 
@@ -40,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
     parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
     parser.add_argument(
-        "--precision", choices=PRECISIONS, help="32-true: float32; bf16-mixed: bfloat16; instead of the preset's"
+        "--precision", choices=TRAINING_PRECISIONS, help="32-true: float32; bf16-mixed: bfloat16; instead of the preset's"
     )
     parser.add_argument(
         "--small-share", type=share, metavar="SHARE", help="share of the epochs at half size, instead of the preset's"

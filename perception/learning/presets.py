@@ -34,8 +34,8 @@ class TrainingPreset:
         dynamic_weights: equations 5 and 6 after each epoch; else the fixed weights of equation 1.
         location_loss: see `perception.learning.losses.detection_loss`.
         positive_weight: see `perception.learning.losses.detection_loss`.
-        precision: Lightning's name; "bf16-mixed" halves the time of a step on CPUs with bfloat16 units, and is
-            "32-true" on those without.
+        precision: Lightning's name; "bf16-mixed" is "32-true" on processors without bfloat16 units. Which is faster on
+            those with them depends on width and size of the frames (docs/stairnetv2.md).
         augmentation: of the frames.
 
     Raises:

@@ -61,6 +61,7 @@ CELL_WIDTH_PX = IMAGE_SIZE // GRID_COLUMNS
 NETWORK_WIDTHS = (1.0, 0.5, 0.25)  # channel width factors of the three published versions (paper, table 4)
 FUSION_STAGES = (2, 3, 4)  # down-samplings before colour and depth are fused (paper, table 2)
 TRAINING_PRESETS = ("fast", "paper", "robust")
+TRAINING_PRECISIONS = ("32-true", "bf16-mixed")  # Lightning's names of float32 and bfloat16
 BACKENDS = ("onnx", "torch", "openvino", "onnx-cuda", "onnx-tensorrt", "torch-cuda")
 EXPORTED_BACKENDS = ("onnx", "openvino", "onnx-cuda", "onnx-tensorrt")  # those that read .onnx files
 GPU_BACKENDS = ("onnx-cuda", "onnx-tensorrt", "torch-cuda")  # those that need a graphics card

@@ -57,9 +57,11 @@ def test_odd_numbers_of_images_are_refused(tmp_path, capsys):
 def test_train_then_evaluate(data, tmp_path, capsys):
     run = tmp_path / "run"
     options = ["--data", str(data), "--output", str(run), "--epochs", "1", "--frames-per-epoch", "2", "--threads", "1"]
+    options += ["--precision", "32-true"]  # the preset's is another
     assert main(["perception-train", *options, "--json", str(tmp_path / "card.json")]) == 0
     card = json.loads((tmp_path / "card.json").read_text())
     assert card["width"] == 0.25
+    assert card["training"]["precision"] == "32-true"
     assert "val/iou" in card["metrics"]
     weights = run / "stairnetv2_025.safetensors"
     load_weights(weights, 0.25)

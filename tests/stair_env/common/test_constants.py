@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from perception.geometry import line_kernels
-from perception.learning.presets import PRESETS
+from perception.learning.presets import PRESETS, Precision
 from policies.evaluate.demo_flights import DemoConfig
 from policies.evaluate.evaluation import SOURCE_SETUPS
 from stair_env.common import constants
@@ -35,6 +35,7 @@ def test_importing_them_loads_nothing_heavy() -> None:
         (constants.SCENE_DIRECTIONS, DIRECTION_CHOICES),
         (constants.SCENE_LIGHTINGS, get_args(Lighting)),
         (constants.STAIRCASE_DIRECTIONS, get_args(Direction)),
+        (constants.TRAINING_PRECISIONS, get_args(Precision)),
         (constants.TRAINING_PRESETS, PRESETS),
         (constants.WALKING_DIRECTIONS, get_args(WalkingDirection)),
     ],
