@@ -38,9 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--epochs", type=positive_int, help="instead of the preset's")
     parser.add_argument("--frames-per-epoch", type=positive_int, help="instead of the preset's")
     parser.add_argument("--learning-rate", type=positive_float, help="largest, instead of the preset's")
-    parser.add_argument(
-        "--precision", choices=TRAINING_PRECISIONS, help="32-true: float32; bf16-mixed: bfloat16; instead of the preset's"
-    )
+    parser.add_argument("--precision", choices=TRAINING_PRECISIONS, help="float32 or bfloat16, instead of the preset's")
     parser.add_argument(
         "--small-share", type=share, metavar="SHARE", help="share of the epochs at half size, instead of the preset's"
     )
