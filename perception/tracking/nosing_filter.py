@@ -64,6 +64,10 @@ class Lengths:
         self.value[index] += gain * innovation
         self.variance[index] = (1.0 - gain) * prior
 
+    def forget(self, index: np.ndarray) -> None:
+        """Count the nosings of (k,) indices as unseen."""
+        self.variance[index] = math.inf
+
     def at(self, index: int, fallback: float) -> float:
         """The length at a nosing; where it was never seen, that of the nearest one before it, or after it."""
         known = np.isfinite(self.variance)
@@ -160,7 +164,7 @@ class NosingMap:
         for place in np.nonzero(index < 0)[0]:
             self._insert(float(measured[place]), float(std[place]))
         self._measure_lengths(nosings, measured)
-        self._keep(self.misses <= self.hits + MAX_MISSES)
+        self._give_up(self.misses > self.hits + MAX_MISSES)
 
     def extend_behind(self, count: int, riser_m: float, riser_std_m: float) -> None:
         """Add nosings nearer than all known ones, a tread apart, that nobody has seen.
@@ -222,6 +226,12 @@ class NosingMap:
                 self.riser.update(int(place), nosing.riser_m, nosing.riser_std_m)
             if nosing.tread_m is not None and nosing.tread_std_m is not None:
                 self.tread.update(int(place), nosing.tread_m, nosing.tread_std_m)
+
+    def _give_up(self, mask: np.ndarray) -> None:
+        """Drop nosings (n,) that were never there, and the length of each tread that ended at one of them."""
+        if mask.any():
+            self.tread.forget(np.nonzero(mask[1:])[0])
+            self._keep(~mask)
 
     def _keep(self, mask: np.ndarray) -> None:
         if mask.all():
