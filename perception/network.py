@@ -216,11 +216,18 @@ class SelectiveModule(nn.Module):
         super().__init__()
         self.select = nn.Linear(channels, 2 * channels)
 
+    def pooled(self, rgb: Tensor, depth: Tensor) -> Tensor:
+        """Two (B, C, H, W) -> (B, C): the mean over the image of their sum."""
+        return (rgb + depth).mean((2, 3))
+
+    def logits(self, rgb: Tensor, depth: Tensor) -> Tensor:
+        """Two (B, C, H, W) -> (B, 2, C): what the softmax makes weights of, colour's first."""
+        pair: Tensor = self.select(self.pooled(rgb, depth))
+        return pair.view(pair.shape[0], 2, -1)
+
     def forward(self, rgb: Tensor, depth: Tensor) -> Tensor:
         """Two (B, C, H, W) -> (B, C, H, W)."""
-        pooled = (rgb + depth).mean((2, 3))
-        pair = self.select(pooled).view(pooled.shape[0], 2, -1)
-        weights = torch.softmax(pair, dim=1)[..., None, None]
+        weights = torch.softmax(self.logits(rgb, depth), dim=1)[..., None, None]
         return rgb * weights[:, 0] + depth * weights[:, 1]
 
 
@@ -307,8 +314,16 @@ class StairNetV2(nn.Module):
             rgb: (B, 3, 512, 512) float32, scaled by `perception.inference.preprocess`.
             depth: (B, 1, 512, 512) float32, likewise.
         """
-        fused = self.selective(self.rgb_branch(rgb), self.depth_branch(depth))
-        features = self.neck(self.trunk(fused))
+        return self.detect(self.rgb_branch(rgb), self.depth_branch(depth))
+
+    def detect(self, rgb_features: Tensor, depth_features: Tensor) -> RawOutput:
+        """What comes after the two branches.
+
+        Args:
+            rgb_features: (B, C, H, W), what `rgb_branch` makes of colour.
+            depth_features: the same of depth.
+        """
+        features = self.neck(self.trunk(self.selective(rgb_features, depth_features)))
         return RawOutput(self.cls_head(features), torch.sigmoid(self.loc_head(features)))
 
     def forward(self, rgb: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:

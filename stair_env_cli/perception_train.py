@@ -49,6 +49,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--frozen-statistics", action="store_true", help="batch norms keep their mean and variance, for fine-tuning"
     )
     parser.add_argument(
+        "--trust-weight",
+        type=positive_float,
+        metavar="WEIGHT",
+        help="of a loss that draws the selective module to the modality that tells more (none)",
+    )
+    parser.add_argument(
         "--fusion-stage", type=int, choices=FUSION_STAGES, default=2, help="down-samplings before fusion (%(default)s)"
     )
     parser.add_argument("--fixed-weights", action="store_true", help="equation 1 instead of dynamic loss weights")
@@ -95,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
         "learning_rate": args.learning_rate,
         "precision": args.precision,
         "small_share": args.small_share,
+        "trust_weight": args.trust_weight,
     }
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if args.fixed_weights:

@@ -14,14 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from perception.geometry.results import Nosing, StepMeasurement
+from perception.geometry.lines import LineSlopes
+from perception.geometry.results import Nosing
 from perception.geometry.strips.strip_labels import RISER, TREAD, UNKNOWN
 from perception.geometry.strips.strip_planes import Faces, LineViews
 from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M, TREAD_RANGE_M
 
-LineSlopes = tuple[np.ndarray, np.ndarray, np.ndarray]  # see `read_nosings`
 DOWN, UP = -1, 1
 MIN_TREAD_M = 0.9 * TREAD_RANGE_M[0]  # less is two lines within one tread, and the riser beside them is none either
+# Going down, a run known no better than SURE_RUN of itself between nosings so few rows of the grid apart is two lines of
+# one: see docs/measuring.md.
+LEAST_ROWS, NARROW_ROWS, NARROW_TREAD_M, SURE_RUN = 0.65, 1.6, 0.22, 0.04
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 UNEVENNESS_STD_M = 0.012  # of the steps of one flight: old stairs; codes allow 9.5 mm between largest and smallest
@@ -183,8 +186,7 @@ def read_nosings(
     Args:
         section: adjusted.
         direction: `walking_direction` of it, not 0.
-        slopes: height per forward metre at which the camera sees each line, its standard deviation, and whether
-            detector and depth agree on the line.
+        slopes: how the camera sees the lines.
         faces: what the section was built from.
         omega_m: smallest riser and tread that counts.
     """
@@ -193,7 +195,7 @@ def read_nosings(
     find = _ascending_edge if direction == UP else _descending_edge
     for index in range(len(section.kind) - 1):
         line = int(section.line[index])
-        edge = find(section, index, float(slopes[0][line]), float(slopes[1][line]), omega_m)
+        edge = find(section, index, float(slopes.slope[line]), float(slopes.std[line]), omega_m)
         if edge is not None:
             kinds[line] = "convex"
             edges.append(edge)
@@ -253,15 +255,6 @@ def _without(nosing: Nosing, name: str) -> Nosing:
     return replace(nosing, tread_m=None, tread_std_m=None)
 
 
-def steps_of(nosings: tuple[Nosing, ...]) -> tuple[StepMeasurement, ...]:
-    """Equation 9: the steps whose width and height are both known, nearest first."""
-    return tuple(
-        StepMeasurement(n.tread_m, n.riser_m, n.tread_std_m or 0.0, n.riser_std_m or 0.0, n.distance_m)
-        for n in nosings
-        if n.tread_m is not None and n.riser_m is not None
-    )
-
-
 def _ascending_edge(section: Section, index: int, slope: float, slope_std: float, omega_m: float) -> _Edge | None:
     """The nosing at the top of a riser: forward from the riser, height from the tread behind, or from the line."""
     if section.kind[index] != RISER:
@@ -309,7 +302,7 @@ def _finish(
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
-    if tread is not None and tread[0] < MIN_TREAD_M:
+    if tread and (tread[0] < MIN_TREAD_M or (far and not ascending and _is_one(edge, far, tread, slopes.row_rad))):
         riser = tread = None
     if tread is not None and (tread[0] > MEASURABLE_TREAD_M or tread[1] > MAX_TREAD_STD_M or not (riser or ascending)):
         tread = None
@@ -358,9 +351,9 @@ def _riser(
 def _by_foot(section: Section, edge: _Edge, slopes: LineSlopes) -> tuple[float, float] | None:
     """A riser from the line at its foot, where depth shows nothing of the tread before it."""
     foot, top = section.last_line[edge.before - 1], section.line[edge.before]
-    slope, slope_std = float(slopes[0][foot]), float(slopes[1][foot])
+    slope, slope_std = float(slopes.slope[foot]), float(slopes.std[foot])
     std = math.hypot(edge.forward * slope_std, slope * edge.forward_std, edge.height_std)
-    return (edge.height - slope * edge.forward, std) if slopes[2][foot] and slopes[2][top] else None
+    return (edge.height - slope * edge.forward, std) if slopes.confirmed[foot] and slopes.confirmed[top] else None
 
 
 def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> tuple[float, float] | None:
@@ -374,6 +367,12 @@ def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> 
     if far is None or far.before != edge.before + 1:
         return None
     return far.forward - edge.forward, _run_std(section, edge, far)
+
+
+def _is_one(edge: _Edge, far: _Edge, tread: tuple[float, float], row_rad: float) -> bool:
+    """Whether two descending nosings are so close together in the image that they may be one, seen twice."""
+    (run, std), rows = tread, (math.atan(far.slope) - math.atan(edge.slope)) / row_rad
+    return std > SURE_RUN * run and rows < (NARROW_ROWS if run < NARROW_TREAD_M else LEAST_ROWS)
 
 
 def _run_std(section: Section, edge: _Edge, far: _Edge) -> float:

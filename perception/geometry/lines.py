@@ -11,11 +11,12 @@ Arrays hold lines as rows of `LINE_FIELDS`; `StairLine` is the same as an object
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from stair_env.common.constants import CELL_HEIGHT_PX, CELL_WIDTH_PX, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
-from stair_env.intrinsics import letterbox_padding
+from stair_env.intrinsics import Intrinsics, letterbox_padding
 
 SCORE_THRESHOLD = 0.5  # the paper's confidence
 
@@ -31,6 +32,26 @@ def median(values: np.ndarray) -> float:
     """Median of (n,) finite values, n > 0: `np.median` takes five times as long for a few dozen numbers."""
     ordered, middle = np.sort(values), len(values) // 2
     return float(ordered[middle] if len(values) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle]))
+
+
+class LineSlopes(NamedTuple):
+    """How the camera sees the lines.
+
+    Attributes:
+        slope, std: (m,) height per forward metre at which each line is seen, and its standard deviation.
+        confirmed: (m,) whether detector and depth agree on the line.
+        row_rad: angle that a row of the detector's grid takes up.
+    """
+
+    slope: np.ndarray
+    std: np.ndarray
+    confirmed: np.ndarray
+    row_rad: float
+
+
+def row_rad(intrinsics: Intrinsics) -> float:
+    """Angle that a row of the detector's grid takes up in the middle of the image."""
+    return CELL_HEIGHT_PX * max(intrinsics.width, intrinsics.height) / IMAGE_SIZE / intrinsics.fy
 
 
 @dataclass(frozen=True)

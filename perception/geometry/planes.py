@@ -20,14 +20,14 @@ from perception.geometry.cross_section import (
     build_section,
     find_drops,
     read_nosings,
-    steps_of,
     walking_direction,
 )
 from perception.geometry.line_matching import CheckedLines, check_lines
-from perception.geometry.lines import median
+from perception.geometry.lines import LineSlopes, median, row_rad
 from perception.geometry.profile.depth_jumps import locate_drops
 from perception.geometry.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
 from perception.geometry.reconcile import is_sound, reconcile, without_gravity
+from perception.geometry.results import steps_of
 from perception.geometry.strips.strip_labels import RISER, UNKNOWN
 from perception.geometry.strips.strip_planes import Faces, LineViews, fit_faces, sample_strips
 from stair_env.intrinsics import Intrinsics
@@ -197,7 +197,8 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
-    nosings, edge_kinds = read_nosings(section, direction, (*slopes, checked.confirmed), faces, omega_m)
+    seen = LineSlopes(*slopes, checked.confirmed, row_rad(intrinsics))
+    nosings, edge_kinds = read_nosings(section, direction, seen, faces, omega_m)
     edges = {int(checked.source[index]): kind for index, kind in edge_kinds.items() if checked.source[index] >= 0}
     geometry = Geometry(
         direction,

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from perception.geometry.cross_section import steps_of
 from perception.geometry.profile.depth_profile import pitch_from_cut
 from perception.geometry.reading import (
     MIN_CORRECTION_RAD,
@@ -24,6 +23,7 @@ from perception.geometry.reading import (
     camera_yaw,
     with_gravity,
 )
+from perception.geometry.results import steps_of
 from perception.geometry.rounded_geometry import RoundedStairs, measure_rounded
 from perception.geometry.strips.levelling import level_sideways, turn_pitch
 from perception.geometry.strips.strip_planes import LineViews, sample_strips

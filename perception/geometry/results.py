@@ -123,3 +123,12 @@ class StairEstimate:
             "gravity_source": self.gravity_source,
             "gravity_correction_rad": self.gravity_correction_rad,
         }
+
+
+def steps_of(nosings: tuple[Nosing, ...]) -> tuple[StepMeasurement, ...]:
+    """Equation 9: the steps whose width and height are both known, nearest first."""
+    return tuple(
+        StepMeasurement(n.tread_m, n.riser_m, n.tread_std_m or 0.0, n.riser_std_m or 0.0, n.distance_m)
+        for n in nosings
+        if n.tread_m is not None and n.riser_m is not None
+    )

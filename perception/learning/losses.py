@@ -101,16 +101,24 @@ def detection_loss(
     Raises:
         ValueError: location_loss is none of its choices.
     """
+    terms = frame_losses(raw, targets, location_loss, positive_weight)
+    return {name: term.mean() for name, term in terms.items()}
+
+
+def frame_losses(
+    raw: RawOutput, targets: GridTargets, location_loss: str = "l2", positive_weight: float = 1.0
+) -> dict[str, Tensor]:
+    """The terms of `detection_loss` for each frame, (B,)."""
     if location_loss not in LOCATION_LOSSES:
         raise ValueError(f"location_loss={location_loss!r} must be one of {', '.join(LOCATION_LOSSES)}")
     weight = torch.tensor(positive_weight, dtype=raw.cls_logits.dtype, device=raw.cls_logits.device)
-    cls = F.binary_cross_entropy_with_logits(raw.cls_logits, targets.cls, pos_weight=weight)
+    cls = F.binary_cross_entropy_with_logits(raw.cls_logits, targets.cls, pos_weight=weight, reduction="none")
     delta = raw.loc - targets.loc
     error = delta.square() if location_loss == "l2" else delta.abs()
     return {
-        "cls": cls,
-        "x": (targets.cls * error[:, X_CHANNELS]).sum(1).mean(),
-        "y": (targets.cls * error[:, Y_CHANNELS]).sum(1).mean(),
+        "cls": cls.mean((1, 2, 3)),
+        "x": (targets.cls * error[:, X_CHANNELS]).sum(1).mean((1, 2)),
+        "y": (targets.cls * error[:, Y_CHANNELS]).sum(1).mean((1, 2)),
     }
 
 

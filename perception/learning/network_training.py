@@ -27,7 +27,10 @@ from perception.learning.frames import Batch, FrameModule
 from perception.learning.losses import GridTargets, LossWeights, detection_loss, location_errors, total_loss
 from perception.learning.metrics import DetectionCounts, count_cells
 from perception.learning.presets import Precision, TrainingPreset
+from perception.learning.trust import FIT_FRAMES, SelectionFit, colour_share, trust_loss
 from perception.network import StairNetV2, use_compiled_convolutions, use_merged_norms
+
+TRUST_EVERY = 2  # steps: asking for both modalities alone takes two fifths of a step more
 
 LOGGER = logging.getLogger(__name__)
 
@@ -97,14 +100,45 @@ class StairNetTraining(DetectorTraining):
         self._counts: dict[int, DetectionCounts] = {}
         self._errors = np.zeros(2)
 
+    def on_train_start(self) -> None:
+        """Give the selective module a start, if it is to be taught which modality to trust."""
+        if self.preset.trust_weight > 0.0 and self.current_epoch == 0:
+            self._fit_selection()
+
+    @torch.no_grad()
+    def _fit_selection(self) -> None:
+        module, network = self.network.selective, self.network.eval()
+        fit = SelectionFit(module.select.in_features)
+        batches = self.trainer.datamodule.train_dataloader()  # type: ignore[attr-defined]
+        seen = 0
+        for batch in batches:
+            rgb, depth, cls, loc = (tensor.to(self.device) for tensor in batch)
+            features = network.rgb_branch(rgb), network.depth_branch(depth)
+            fit.add(module.pooled(*features), self._colour_share(features, GridTargets(cls, loc)))
+            seen += len(rgb)
+            if seen * self.trainer.world_size >= FIT_FRAMES:
+                break
+        network.train()
+        fit.moments = self.summed(fit.moments)
+        LOGGER.info("selective module: %.0f %% of what to trust explained", 100.0 * fit.apply(module))
+
+    def _colour_share(self, features: tuple[Tensor, Tensor], targets: GridTargets) -> Tensor:
+        preset, weights = self.preset, self.loss_weights
+        return colour_share(self.network, *features, targets, weights, preset.location_loss, preset.positive_weight)
+
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Equation 2 over a batch."""
         rgb, depth, cls, loc = batch
-        raw = self.network.forward_raw(rgb, depth)
+        preset, targets, network = self.preset, GridTargets(cls, loc), self.network
+        asked = preset.trust_weight > 0.0 and batch_index % TRUST_EVERY == 0
+        features = (network.rgb_branch(rgb), network.depth_branch(depth)) if asked else None
+        raw = network.detect(*features) if features else network.forward_raw(rgb, depth)
         raw = type(raw)(raw.cls_logits.float(), raw.loc.float())
-        preset = self.preset
-        terms = detection_loss(raw, GridTargets(cls, loc), preset.location_loss, preset.positive_weight)
+        terms = detection_loss(raw, targets, preset.location_loss, preset.positive_weight)
         loss = total_loss(terms, self.loss_weights)
+        if features:
+            terms["trust"] = trust_loss(network.selective.logits(*features), self._colour_share(features, targets))
+            loss = loss + TRUST_EVERY * preset.trust_weight * terms["trust"]
         self.log_dict({f"loss/{name}": term.detach() for name, term in terms.items()})
         self.log("loss/total", loss.detach(), prog_bar=True)
         return loss

@@ -31,6 +31,8 @@ class TrainingPreset:
         small_batch_size: frames a step during those.
         frozen_statistics: whether batch norms keep the mean and variance they came with, for fine-tuning: frames
             without colour or depth make those of small batches jump, and a network in use sees neither.
+        trust_weight: of the loss that draws the selective module to the modality that tells more
+            (`perception.learning.trust`), 0 for none, as in the paper. Needs frozen_statistics.
         dynamic_weights: equations 5 and 6 after each epoch; else the fixed weights of equation 1.
         location_loss: see `perception.learning.losses.detection_loss`.
         positive_weight: see `perception.learning.losses.detection_loss`.
@@ -53,6 +55,7 @@ class TrainingPreset:
     small_share: float = 0.0
     small_batch_size: int = 16
     frozen_statistics: bool = False
+    trust_weight: float = 0.0
     dynamic_weights: bool = True
     location_loss: str = "l2"
     positive_weight: float = 1.0
@@ -68,6 +71,11 @@ class TrainingPreset:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be at least 1")
         if not 0.0 <= self.small_share <= 1.0:
             raise ValueError(f"small_share={self.small_share!r} must be in [0, 1]")
+
+        if not 0.0 <= self.trust_weight < math.inf:
+            raise ValueError(f"trust_weight={self.trust_weight!r} must be a finite number >= 0")
+        if self.trust_weight and not self.frozen_statistics:
+            raise ValueError("trust_weight needs frozen_statistics: it looks at frames without a modality")
 
     def is_small(self, epoch: int) -> bool:
         """Whether an epoch sees frames at half size."""

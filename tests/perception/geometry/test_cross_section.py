@@ -1,14 +1,22 @@
-"""How the steps of one flight support each other."""
+"""Nosings read from a cross-section, and how the steps of one flight support each other."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.geometry.cross_section import UNEVENNESS_STD_M, _steady
+from perception.geometry.cross_section import DOWN, UNEVENNESS_STD_M, Section, _steady, read_nosings
+from perception.geometry.lines import LineSlopes, row_rad
 from perception.geometry.results import Nosing
+from perception.geometry.strips.strip_labels import TREAD
+from stair_env.intrinsics import D435I_COLOR_MODES
+
+OMEGA = 0.05
+ROW = row_rad(D435I_COLOR_MODES["640x480"])
 
 
 def flight(treads_m: list[float], stds_m: list[float]) -> tuple[Nosing, ...]:
@@ -69,3 +77,38 @@ def test_errors_shrink_as_the_stated_deviation_says(spread: float) -> None:
         better.append(error)
     assert np.std(ratio) == pytest.approx(1.0, abs=0.1)
     assert np.std(better) < 0.97 * np.std(raw)
+
+
+def nosings_of(tread: float, riser: float, near: tuple[float, float], slope_std: float):
+    """Of a flight down from (forward, height) `near`, its lines known to slope_std and its heights exactly."""
+    count = 4
+    forward = near[0] + tread * np.arange(count)
+    height = near[1] - riser * np.arange(count)
+    section = Section(np.full(count, TREAD), height, np.eye(count) * 1e-8, np.arange(count), np.arange(count))
+    slopes = LineSlopes(height / forward, np.full(count, slope_std), np.ones(count, bool), ROW)
+    faces = SimpleNamespace(angle_cov=np.diag([1e-6] * 3))
+    nosings, _ = read_nosings(section, DOWN, slopes, faces, OMEGA)
+    rows = np.abs(np.diff(np.arctan(slopes.slope))) / ROW
+    return nosings, rows
+
+
+@pytest.mark.parametrize(("tread", "riser"), [(0.15, 0.075), (0.2, 0.1)])
+def test_a_narrow_tread_in_few_rows_is_believed_only_where_it_is_sure(tread: float, riser: float) -> None:
+    for slope_std, believed in ((0.0005, True), (0.006, False)):
+        nosings, rows = nosings_of(tread, riser, (1.2, -1.2), slope_std)
+        assert 0.3 < rows[0] < 1.6
+        assert (nosings[0].tread_m is not None) == believed
+        assert (nosings[0].riser_m is not None) == believed
+
+
+def test_the_same_lines_nearby_are_believed() -> None:
+    nosings, rows = nosings_of(0.2, 0.1, (0.4, -0.7), 0.004)
+    assert rows[0] > 1.6
+    assert nosings[0].tread_m == pytest.approx(0.2, abs=1e-6)
+    assert nosings[0].riser_m == pytest.approx(0.1, abs=1e-6)
+
+
+def test_usual_treads_in_as_few_rows_are_believed() -> None:
+    nosings, rows = nosings_of(0.29, 0.16, (1.4, -1.2), 0.003)
+    assert 0.65 < rows[0] < 1.6
+    assert nosings[0].tread_m == pytest.approx(0.29, abs=1e-6)

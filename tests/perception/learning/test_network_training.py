@@ -51,7 +51,10 @@ def test_cosine_schedule_warms_up_and_falls():
     assert rates[-1] == pytest.approx(0.01 * fast.learning_rate)
 
 
-@pytest.mark.parametrize("wrong", [{"epochs": 0}, {"schedule": "linear"}, {"small_share": 2.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"epochs": 0}, {"schedule": "linear"}, {"small_share": 2.0}, {"trust_weight": -1.0}, {"trust_weight": 1.0}],
+)
 def test_wrong_presets_are_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         dataclasses.replace(QUICK, **wrong)
@@ -210,3 +213,29 @@ def test_bfloat16_is_for_processors_that_have_it(monkeypatch: pytest.MonkeyPatch
     assert _usable_precision("bf16-mixed", "cpu") == precision
     assert _usable_precision("32-true", "cpu") == "32-true"
     assert _usable_precision("bf16-mixed", "gpu") == "bf16-mixed"
+
+
+def test_trust_is_a_part_of_the_loss_at_every_other_step(data):
+    frames = GridFrames(StairDataset(data, "train"), None, size=256)
+    batch = tuple(tensor[None] for tensor in frames[0])
+    module = StairNetTraining(0.25, dataclasses.replace(QUICK, frozen_statistics=True, trust_weight=0.5))
+    module.network.eval()
+    logged: dict[str, float] = {}
+    module.log = lambda name, value, **_kwargs: logged.update({name: float(value)})
+    module.log_dict = lambda values: logged.update({name: float(value) for name, value in values.items()})
+    totals = {}
+    for step in (0, 1):
+        logged.clear()
+        module.training_step(batch, step)
+        totals[step] = dict(logged)
+    assert totals[1].keys() == totals[0].keys() - {"loss/trust"}
+    assert totals[0]["loss/total"] == pytest.approx(totals[1]["loss/total"] + 2 * 0.5 * totals[0]["loss/trust"])
+
+
+def test_the_selection_is_fitted_once_at_the_start_of_a_run(data, tmp_path, caplog):
+    preset = dataclasses.replace(QUICK, frozen_statistics=True, trust_weight=0.1)
+    with caplog.at_level("INFO"):
+        trained(data, tmp_path, preset)
+        assert caplog.text.count("of what to trust explained") == 1
+        trained(data, tmp_path, dataclasses.replace(preset, epochs=2), resume=True)
+        assert caplog.text.count("of what to trust explained") == 1
