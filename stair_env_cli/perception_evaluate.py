@@ -130,23 +130,27 @@ def _run_robust(args: argparse.Namespace) -> int:
     from perception.data.stair_dataset import StairDataset
     from perception.inference.weights import load_network, load_weights
     from perception.reproduction.corrupted_depth import (
-        colour_weights,
         draw_colour_weights,
+        look_at_selection,
         mean_weights,
         score_corrupted,
     )
 
     frames = StairDataset(_test_root(args), args.split or None)
     rows: list[dict[str, Any]] = []
-    weights = {}
+    weights: dict[float, Any] = {}
+    selection: list[dict[str, Any]] = []
     for width in map(float, args.width):
         bar = functools.partial(progress, description=f"StairNetV2 {width:g}x")
         rows.extend(score_corrupted(_backend(args, width), frames, width, bar))
         if args.figure and (args.weights is None or args.weights.suffix != ".onnx"):
             network = load_network(width) if args.weights is None else load_weights(args.weights, width)
-            weights[width] = colour_weights(network.eval(), frames, range(min(WEIGHED_FRAMES, len(frames))))
+            chosen = range(min(WEIGHED_FRAMES, len(frames)))
+            weights[width], found = look_at_selection(network.eval(), frames, chosen)
+            selection.extend({"width": width} | row for row in found)
     if args.json:
-        report = {"rows": rows, "colour_weight": mean_weights(weights), "backend": args.backend}
+        report = {"rows": rows, "colour_weight": mean_weights(weights), "selection": selection}
+        report["backend"] = args.backend
         write_json(args.json, report, seed=args.seed)
     if weights:
         from stair_env.common.files import atomic_path

@@ -22,8 +22,8 @@ from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M, T
 
 DOWN, UP = -1, 1
 MIN_TREAD_M = 0.9 * TREAD_RANGE_M[0]  # less is two lines within one tread, and the riser beside them is none either
-# Going down, a run known no better than SURE_RUN of itself between nosings so few rows of the grid apart is two lines of
-# one: see docs/measuring.md.
+# Going down, a run known no better than SURE_RUN of itself between nosings so few rows of the grid apart is two lines
+# of one edge: see docs/measuring.md.
 LEAST_ROWS, NARROW_ROWS, NARROW_TREAD_M, SURE_RUN = 0.65, 1.6, 0.22, 0.04
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has

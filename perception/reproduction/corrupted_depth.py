@@ -1,5 +1,7 @@
 """How a detector does where depth lies: accuracy, recall and IOU a corruption, and which modality it then listens to.
 
+One row more has no colour, where depth is all there is.
+
 The corruptions are those by which a detector that knew one renderer only was found out; strengths are fixed, so that
 figures can be compared between weights. What detectors are trained with is drawn at random and wider
 (`perception.data.depth_corruption`).
@@ -8,6 +10,7 @@ figures can be compared between weights. What detectors are trained with is draw
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
 Corruption = Callable[[StairDataset, int, np.ndarray], np.ndarray]  # frames, index, depth -> depth
 CONSTANT_M = 2.0
+AS_DRAWN, NO_COLOUR = "as drawn", "no colour"
 
 
 def _matched(frames: StairDataset, index: int, depth_m: np.ndarray) -> np.ndarray:
@@ -57,7 +61,7 @@ def _none(frames: StairDataset, index: int, depth_m: np.ndarray) -> np.ndarray:
 
 
 CORRUPTIONS: dict[str, Corruption] = {
-    "as drawn": lambda frames, index, depth_m: depth_m,
+    AS_DRAWN: lambda frames, index, depth_m: depth_m,
     "matched": _matched,
     "blurred 4 px": partial(_blurred, sigma_px=4.0),
     "blurred 8 px": partial(_blurred, sigma_px=8.0),
@@ -68,6 +72,19 @@ CORRUPTIONS: dict[str, Corruption] = {
     "another frame's": _of_another_frame,
     "none": _none,
 }
+
+
+def names_for(frames: StairDataset) -> list[str]:
+    """The corruptions that a set allows, and `NO_COLOUR`."""
+    return [*(name for name in CORRUPTIONS if name != "matched" or frames.matched_folders), NO_COLOUR]
+
+
+def corrupted(frames: StairDataset, index: int, name: str) -> Sample:
+    """A frame with its depth corrupted in the way of a name, or with a black image for `NO_COLOUR`."""
+    sample = frames[index]
+    if name == NO_COLOUR:
+        return replace(sample, rgb=np.zeros_like(sample.rgb))
+    return replace(sample, depth_m=CORRUPTIONS[name](frames, index, sample.depth_m))
 
 
 def score_corrupted(
@@ -91,9 +108,8 @@ def score_corrupted(
     for name in progress(names_for(frames)):
         tallies: dict[str, DetectionCounts] = {}
         for index in range(len(frames)):
-            sample = frames[index]
-            depth = CORRUPTIONS[name](frames, index, sample.depth_m)
-            cls, loc = backend(sample.rgb[None], depth[None])
+            sample = corrupted(frames, index, name)
+            cls, loc = backend(sample.rgb[None], sample.depth_m[None])
             grid = encode_grid(sample.lines)
             counts = count_cells(cls, loc, grid.cls[None], grid.loc[None])
             for split in ("all", sample.lighting):
@@ -105,15 +121,13 @@ def score_corrupted(
     return rows
 
 
-def names_for(frames: StairDataset) -> list[str]:
-    """The corruptions that a set allows."""
-    return [name for name in CORRUPTIONS if name != "matched" or frames.matched_folders]
+Weights = dict[str, dict[str, list[float]]]  # corruption -> light -> colour's mean weight, a frame each
 
 
-def colour_weights(
+def look_at_selection(
     network: StairNetV2, frames: StairDataset, indices: Sequence[int]
-) -> dict[str, dict[str, list[float]]]:
-    """How much the selective module listens to colour, by corruption and light.
+) -> tuple[Weights, list[dict[str, Any]]]:
+    """How much the selective module listens to colour, by corruption and light, and what its choice is worth.
 
     Args:
         network: in evaluation mode.
@@ -122,36 +136,47 @@ def colour_weights(
 
     Returns:
         {corruption: {"day": [...], "night": [...]}}: for each frame the mean over channels of colour's weight; depth's
-        is the rest to 1.
+        is the rest to 1. And rows {"split", "iou", "iou_held", "frames"}: per cent with the module's own weights, and
+        with those held that it gives to the same frame as drawn.
     """
     import torch
 
     from perception.inference.preprocess import colour_input, depth_input
 
-    seen: list[float] = []
-
-    def keep(module: torch.nn.Module, inputs: Any, output: torch.Tensor) -> None:
-        pair = output.view(output.shape[0], 2, -1)
-        seen.extend(torch.softmax(pair, dim=1)[:, 0].mean(1).tolist())
-
-    found: dict[str, dict[str, list[float]]] = {}
-    handle = network.selective.select.register_forward_hook(keep)
-    try:
-        with torch.inference_mode():
+    module = network.selective.select
+    found: Weights = {}
+    counts: dict[str, list[DetectionCounts]] = {}
+    with torch.inference_mode():
+        for index in indices:
+            drawn: torch.Tensor | None = None
             for name in names_for(frames):
-                for index in indices:
-                    sample: Sample = frames[index]
-                    depth = CORRUPTIONS[name](frames, index, sample.depth_m)
-                    inputs = colour_input(sample.rgb[None]), depth_input(depth[None])
-                    network(*map(torch.from_numpy, inputs))
-                    found.setdefault(name, {}).setdefault(sample.lighting, []).append(seen[-1])
-    finally:
-        handle.remove()
-    return found
+                sample = corrupted(frames, index, name)
+                inputs = colour_input(sample.rgb[None]), depth_input(sample.depth_m[None])
+                rgb, depth = (torch.from_numpy(array) for array in inputs)
+                features = network.rgb_branch(rgb), network.depth_branch(depth)
+                own = module(network.selective.pooled(*features))
+                drawn = own if drawn is None else drawn
+                share = torch.softmax(own.view(1, 2, -1), dim=1)[:, 0].mean()
+                found.setdefault(name, {}).setdefault(sample.lighting, []).append(float(share))
+                grid = encode_grid(sample.lines)
+                scores = counts.setdefault(name, [DetectionCounts(), DetectionCounts()])
+                for number, pair in enumerate((own, drawn)):
+                    handle = module.register_forward_hook(lambda _module, _inputs, _output, pair=pair: pair)
+                    try:
+                        raw = network.detect(*features)
+                    finally:
+                        handle.remove()
+                    cls, loc = torch.sigmoid(raw.cls_logits)[:, 0].numpy(), raw.loc.movedim(1, -1).numpy()
+                    scores[number] += count_cells(cls, loc, grid.cls[None], grid.loc[None])
+    rows = [
+        {"split": name, "iou": round(own.iou, 2), "iou_held": round(held.iou, 2), "frames": own.frames}
+        for name, (own, held) in counts.items()
+    ]
+    return found, rows
 
 
-def mean_weights(found: dict[float, dict[str, dict[str, list[float]]]]) -> list[dict[str, Any]]:
-    """Rows {"width", "split", "lighting", "colour_weight"} of what `colour_weights` found at each width."""
+def mean_weights(found: dict[float, Weights]) -> list[dict[str, Any]]:
+    """Rows {"width", "split", "lighting", "colour_weight"} of what `look_at_selection` found at each width."""
     return [
         {"width": width, "split": name, "lighting": light, "colour_weight": round(float(np.mean(values)), 3)}
         for width, by_name in found.items()
@@ -160,11 +185,11 @@ def mean_weights(found: dict[float, dict[str, dict[str, list[float]]]]) -> list[
     ]
 
 
-def draw_colour_weights(found: dict[float, dict[str, dict[str, list[float]]]]) -> Any:
-    """A figure of `colour_weights` a width, each corruption a row, day and night beside one another.
+def draw_colour_weights(found: dict[float, Weights]) -> Any:
+    """A figure of `look_at_selection` a width, each corruption a row, day and night beside one another.
 
     Args:
-        found: width -> what `colour_weights` returned.
+        found: width -> what `look_at_selection` returned first.
 
     Returns:
         matplotlib's figure.

@@ -8,8 +8,10 @@ from perception.inference.backends import OnnxBackend
 from perception.inference.weights import load_network
 from perception.reproduction.corrupted_depth import (
     CORRUPTIONS,
-    colour_weights,
+    NO_COLOUR,
+    corrupted,
     draw_colour_weights,
+    look_at_selection,
     mean_weights,
     names_for,
     score_corrupted,
@@ -27,7 +29,13 @@ def frames(tmp_path_factory):
 
 def test_each_corruption_does_what_its_name_says(frames):
     depth = frames[0].depth_m
-    made = {name: CORRUPTIONS[name](frames, 0, depth) for name in names_for(frames)}
+    samples = {name: corrupted(frames, 0, name) for name in names_for(frames)}
+    without = samples.pop(NO_COLOUR)
+    assert not without.rgb.any()
+    np.testing.assert_array_equal(without.depth_m, depth)
+    for sample in samples.values():
+        np.testing.assert_array_equal(sample.rgb, frames[0].rgb)
+    made = {name: sample.depth_m for name, sample in samples.items()}
     np.testing.assert_array_equal(made["as drawn"], depth)
     np.testing.assert_array_equal(made["matched"], frames.depth(0, "depthes_stereo1"))
     np.testing.assert_array_equal(made["another frame's"], frames.depth(1))
@@ -50,15 +58,22 @@ def test_without_matched_depth_that_row_is_left_out(frames, tmp_path):
 
 def test_rows_add_up_over_light(frames):
     rows = score_corrupted(OnnxBackend(0.25), frames, 0.25)
-    assert {row["split"] for row in rows} == set(CORRUPTIONS)
-    for name in CORRUPTIONS:
+    assert {row["split"] for row in rows} == {*CORRUPTIONS, NO_COLOUR}
+    for name in (*CORRUPTIONS, NO_COLOUR):
         counted = {row["lighting"]: row["frames"] for row in rows if row["split"] == name}
         assert counted.pop("all") == sum(counted.values()) == 3
 
 
-def test_weights_of_the_modalities_and_their_figure(frames, tmp_path):
-    found = {0.25: colour_weights(load_network(0.25).eval(), frames, range(2))}
+def test_weights_of_the_modalities_what_they_are_worth_and_their_figure(frames, tmp_path):
+    network = load_network(0.25).eval()
+    weights, rows = look_at_selection(network, frames, range(3))
+    found = {0.25: weights}
     assert all(0.0 <= row["colour_weight"] <= 1.0 for row in mean_weights(found))
-    assert sum(len(values) for values in found[0.25]["none"].values()) == 2
+    assert sum(len(values) for values in weights["none"].values()) == 3
+    scored = {row["split"]: row["iou"] for row in score_corrupted(OnnxBackend(0.25), frames, 0.25)
+              if row["lighting"] == "all"}  # fmt: skip
+    assert {row["split"]: row["iou"] for row in rows} == pytest.approx(scored, abs=0.5), "its own weights"
+    assert rows[0]["split"] == "as drawn" and rows[0]["iou"] == rows[0]["iou_held"]
+    assert any(row["iou"] != row["iou_held"] for row in rows), "holding the weights must change something"
     draw_colour_weights(found).savefig(tmp_path / "weights.png")
     assert (tmp_path / "weights.png").stat().st_size > 1000
