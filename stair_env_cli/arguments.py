@@ -29,6 +29,7 @@ __all__ = [
     "json_object",
     "json_path",
     "limit_threads",
+    "non_negative_float",
     "number_list",
     "physics_kwargs",
     "positive_int",
@@ -133,6 +134,14 @@ def positive_float(text: str) -> float:
     value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} must be a number > 0")
+    return value
+
+
+def non_negative_float(text: str) -> float:
+    """Parse a finite number >= 0."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number >= 0")
     return value
 
 

@@ -13,6 +13,7 @@ from stair_env_cli.arguments import (
     WIDTH_NAMES,
     add_common_arguments,
     limit_threads,
+    non_negative_float,
     positive_float,
     positive_int,
     share,
@@ -50,9 +51,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--trust-weight",
-        type=positive_float,
+        type=non_negative_float,
         metavar="WEIGHT",
-        help="of a loss that draws the selective module to the modality that tells more (none)",
+        help="of the loss that draws the selective module to the modality that tells more, instead of the preset's",
     )
     parser.add_argument(
         "--fusion-stage", type=int, choices=FUSION_STAGES, default=2, help="down-samplings before fusion (%(default)s)"

@@ -75,7 +75,7 @@ class TrainingPreset:
         if not 0.0 <= self.trust_weight < math.inf:
             raise ValueError(f"trust_weight={self.trust_weight!r} must be a finite number >= 0")
         if self.trust_weight and not self.frozen_statistics:
-            raise ValueError("trust_weight needs frozen_statistics: it looks at frames without a modality")
+            raise ValueError("trust_weight needs frozen_statistics, as in the preset robust: it looks at blank frames")
 
     def is_small(self, epoch: int) -> bool:
         """Whether an epoch sees frames at half size."""
@@ -115,6 +115,7 @@ PRESETS: dict[str, TrainingPreset] = {
         schedule="cosine",
         warmup_epochs=0.3,
         frozen_statistics=True,
+        trust_weight=0.1,
         location_loss="l1",
         positive_weight=1.8,
         precision="bf16-mixed",
