@@ -22,8 +22,8 @@ from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M, T
 
 DOWN, UP = -1, 1
 MIN_TREAD_M = 0.9 * TREAD_RANGE_M[0]  # less is two lines within one tread, and the riser beside them is none either
-# Going down, a run known no better than SURE_RUN of itself between nosings so few rows of the grid apart is two lines
-# of one edge: see docs/measuring.md.
+# A run known no better than SURE_RUN of itself is doubtful where it is narrow, and going down where its nosings are so
+# few rows of the grid apart: see docs/measuring.md.
 LEAST_ROWS, NARROW_ROWS, NARROW_TREAD_M, SURE_RUN = 0.65, 1.6, 0.22, 0.04
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
@@ -250,9 +250,8 @@ def _steady(nosings: tuple[Nosing, ...]) -> tuple[Nosing, ...]:
 
 
 def _without(nosing: Nosing, name: str) -> Nosing:
-    if name == "riser":
-        return replace(nosing, riser_m=None, riser_std_m=None)
-    return replace(nosing, tread_m=None, tread_std_m=None)
+    unknown: dict[str, Any] = {f"{name}_m": None, f"{name}_std_m": None}
+    return replace(nosing, **unknown)
 
 
 def _ascending_edge(section: Section, index: int, slope: float, slope_std: float, omega_m: float) -> _Edge | None:
@@ -302,7 +301,7 @@ def _finish(
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
-    if tread and (tread[0] < MIN_TREAD_M or (far and not ascending and _is_one(edge, far, tread, slopes.row_rad))):
+    if tread and (tread[0] < MIN_TREAD_M or _is_doubtful(edge, far, tread, direction, slopes.row_rad)):
         riser = tread = None
     if tread is not None and (tread[0] > MEASURABLE_TREAD_M or tread[1] > MAX_TREAD_STD_M or not (riser or ascending)):
         tread = None
@@ -369,10 +368,12 @@ def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> 
     return far.forward - edge.forward, _run_std(section, edge, far)
 
 
-def _is_one(edge: _Edge, far: _Edge, tread: tuple[float, float], row_rad: float) -> bool:
-    """Whether two descending nosings are so close together in the image that they may be one, seen twice."""
-    (run, std), rows = tread, (math.atan(far.slope) - math.atan(edge.slope)) / row_rad
-    return std > SURE_RUN * run and rows < (NARROW_ROWS if run < NARROW_TREAD_M else LEAST_ROWS)
+def _is_doubtful(edge: _Edge, far: _Edge | None, tread: tuple[float, float], direction: int, row_rad: float) -> bool:
+    """Whether a run may lie between two lines of one edge, or between an edge and a line beside it."""
+    sure, narrow = tread[1] < SURE_RUN * tread[0], tread[0] < NARROW_TREAD_M
+    if sure or direction == UP or far is None:
+        return narrow and not sure
+    return (math.atan(far.slope) - math.atan(edge.slope)) / row_rad < (NARROW_ROWS if narrow else LEAST_ROWS)
 
 
 def _run_std(section: Section, edge: _Edge, far: _Edge) -> float:
