@@ -22,9 +22,7 @@ from stair_env.common.constants import MEASURABLE_RISER_M, MEASURABLE_TREAD_M, T
 
 DOWN, UP = -1, 1
 MIN_TREAD_M = 0.9 * TREAD_RANGE_M[0]  # less is two lines within one tread, and the riser beside them is none either
-# A run known no better than SURE_RUN of itself is doubtful where it is narrow, and going down where its nosings are so
-# few rows of the grid apart: see docs/measuring.md.
-LEAST_ROWS, NARROW_ROWS, NARROW_TREAD_M, SURE_RUN = 0.65, 1.6, 0.22, 0.04
+NARROW_TREAD_M, SURE_RUN = 0.22, 0.04  # a run below, known no better than that part of itself, is half a step as often
 MAX_TREAD_STD_M = 0.03  # a run known no better than this tells nothing
 MAX_UNEVENNESS = 0.3  # of a riser or tread, relative to the others in view: far more than any old staircase has
 UNEVENNESS_STD_M = 0.012  # of the steps of one flight: old stairs; codes allow 9.5 mm between largest and smallest
@@ -301,7 +299,7 @@ def _finish(
     if riser is not None and not omega_m <= riser[0] <= MEASURABLE_RISER_M:
         riser = None
     tread = _tread(section, direction, edge, far)
-    if tread and (tread[0] < MIN_TREAD_M or _is_doubtful(edge, far, tread, direction, slopes.row_rad)):
+    if tread and (tread[0] < MIN_TREAD_M or (tread[0] < NARROW_TREAD_M and tread[1] > SURE_RUN * tread[0])):
         riser = tread = None
     if tread is not None and (tread[0] > MEASURABLE_TREAD_M or tread[1] > MAX_TREAD_STD_M or not (riser or ascending)):
         tread = None
@@ -366,14 +364,6 @@ def _tread(section: Section, direction: int, edge: _Edge, far: _Edge | None) -> 
     if far is None or far.before != edge.before + 1:
         return None
     return far.forward - edge.forward, _run_std(section, edge, far)
-
-
-def _is_doubtful(edge: _Edge, far: _Edge | None, tread: tuple[float, float], direction: int, row_rad: float) -> bool:
-    """Whether a run may lie between two lines of one edge, or between an edge and a line beside it."""
-    sure, narrow = tread[1] < SURE_RUN * tread[0], tread[0] < NARROW_TREAD_M
-    if sure or direction == UP or far is None:
-        return narrow and not sure
-    return (math.atan(far.slope) - math.atan(edge.slope)) / row_rad < (NARROW_ROWS if narrow else LEAST_ROWS)
 
 
 def _run_std(section: Section, edge: _Edge, far: _Edge) -> float:

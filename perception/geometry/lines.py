@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stair_env.common.constants import CELL_HEIGHT_PX, CELL_WIDTH_PX, GRID_COLUMNS, GRID_ROWS, IMAGE_SIZE
-from stair_env.intrinsics import Intrinsics, letterbox_padding
+from stair_env.intrinsics import letterbox_padding
 
 SCORE_THRESHOLD = 0.5  # the paper's confidence
 
@@ -40,18 +40,11 @@ class LineSlopes(NamedTuple):
     Attributes:
         slope, std: (m,) height per forward metre at which each line is seen, and its standard deviation.
         confirmed: (m,) whether detector and depth agree on the line.
-        row_rad: angle that a row of the detector's grid takes up.
     """
 
     slope: np.ndarray
     std: np.ndarray
     confirmed: np.ndarray
-    row_rad: float
-
-
-def row_rad(intrinsics: Intrinsics) -> float:
-    """Angle that a row of the detector's grid takes up in the middle of the image."""
-    return CELL_HEIGHT_PX * max(intrinsics.width, intrinsics.height) / IMAGE_SIZE / intrinsics.fy
 
 
 @dataclass(frozen=True)

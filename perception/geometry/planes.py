@@ -23,7 +23,7 @@ from perception.geometry.cross_section import (
     walking_direction,
 )
 from perception.geometry.line_matching import CheckedLines, check_lines
-from perception.geometry.lines import LineSlopes, median, row_rad
+from perception.geometry.lines import LineSlopes, median
 from perception.geometry.profile.depth_jumps import locate_drops
 from perception.geometry.reading import Frame, Geometry, Reading, camera_yaw, section_misfit, with_gravity
 from perception.geometry.reconcile import is_sound, reconcile, without_gravity
@@ -197,7 +197,7 @@ def _read_faces(frame: Frame, guess: np.ndarray, gravity_std_rad: float) -> Read
     slopes = views.slopes(faces.camera_to_stair)
     if direction == DOWN:
         slopes = _sharpen(section, slopes, chosen, faces, depth_m, intrinsics)
-    seen = LineSlopes(*slopes, checked.confirmed, row_rad(intrinsics))
+    seen = LineSlopes(*slopes, checked.confirmed)
     nosings, edge_kinds = read_nosings(section, direction, seen, faces, omega_m)
     edges = {int(checked.source[index]): kind for index, kind in edge_kinds.items() if checked.source[index] >= 0}
     geometry = Geometry(

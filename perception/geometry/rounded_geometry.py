@@ -13,7 +13,7 @@ import numpy as np
 
 from perception.geometry.cross_section import Section, read_nosings
 from perception.geometry.line_matching import lateral_extent
-from perception.geometry.lines import SCORE_THRESHOLD, LineSlopes, median, row_rad
+from perception.geometry.lines import SCORE_THRESHOLD, LineSlopes, median
 from perception.geometry.profile.depth_profile import Scan, scan_profile
 from perception.geometry.results import Nosing
 from perception.geometry.rounded import RoundedFit, fit_rounded
@@ -97,7 +97,7 @@ def measure_rounded(
     angle_cov = np.diag([float(covariance[0, 0]), fit.turn_std_rad**2, float(covariance[1, 1])])
     faces = Faces(fit.kind, fit.value, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), rotation, angle_cov)
     seen_alone = np.zeros(len(used), bool)  # here every face is fitted, and none is read from its lines alone
-    seen = LineSlopes(slope[used], slope_std[used], seen_alone, row_rad(intrinsics))
+    seen = LineSlopes(slope[used], slope_std[used], seen_alone)
     nosings, kinds = read_nosings(section, fit.direction, seen, faces, omega_m)
     nosings = tuple(_without_guesses(nosing) for nosing in nosings)
     yaw_std = math.sqrt(max(float(covariance[1, 1]), 0.0))

@@ -10,13 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.geometry.cross_section import DOWN, UNEVENNESS_STD_M, Section, _steady, read_nosings
-from perception.geometry.lines import LineSlopes, row_rad
+from perception.geometry.lines import LineSlopes
 from perception.geometry.results import Nosing
 from perception.geometry.strips.strip_labels import TREAD
-from stair_env.intrinsics import D435I_COLOR_MODES
 
 OMEGA = 0.05
-ROW = row_rad(D435I_COLOR_MODES["640x480"])
 
 
 def flight(treads_m: list[float], stds_m: list[float]) -> tuple[Nosing, ...]:
@@ -85,30 +83,26 @@ def nosings_of(tread: float, riser: float, near: tuple[float, float], slope_std:
     forward = near[0] + tread * np.arange(count)
     height = near[1] - riser * np.arange(count)
     section = Section(np.full(count, TREAD), height, np.eye(count) * 1e-8, np.arange(count), np.arange(count))
-    slopes = LineSlopes(height / forward, np.full(count, slope_std), np.ones(count, bool), ROW)
+    slopes = LineSlopes(height / forward, np.full(count, slope_std), np.ones(count, bool))
     faces = SimpleNamespace(angle_cov=np.diag([1e-6] * 3))
     nosings, _ = read_nosings(section, DOWN, slopes, faces, OMEGA)
-    rows = np.abs(np.diff(np.arctan(slopes.slope))) / ROW
-    return nosings, rows
+    return nosings
 
 
 @pytest.mark.parametrize(("tread", "riser"), [(0.15, 0.075), (0.2, 0.1)])
-def test_a_narrow_tread_in_few_rows_is_believed_only_where_it_is_sure(tread: float, riser: float) -> None:
+def test_a_narrow_tread_is_believed_only_where_it_is_sure(tread: float, riser: float) -> None:
     for slope_std, believed in ((0.0005, True), (0.006, False)):
-        nosings, rows = nosings_of(tread, riser, (1.2, -1.2), slope_std)
-        assert 0.3 < rows[0] < 1.6
+        nosings = nosings_of(tread, riser, (1.2, -1.2), slope_std)
         assert (nosings[0].tread_m is not None) == believed
         assert (nosings[0].riser_m is not None) == believed
 
 
 def test_the_same_lines_nearby_are_believed() -> None:
-    nosings, rows = nosings_of(0.2, 0.1, (0.4, -0.7), 0.004)
-    assert rows[0] > 1.6
-    assert nosings[0].tread_m == pytest.approx(0.2, abs=1e-6)
-    assert nosings[0].riser_m == pytest.approx(0.1, abs=1e-6)
+    nosing = nosings_of(0.2, 0.1, (0.3, -0.7), 0.006)[0]
+    assert (nosing.tread_m, nosing.riser_m) == pytest.approx((0.2, 0.1), abs=1e-6)
 
 
-def test_usual_treads_in_as_few_rows_are_believed() -> None:
-    nosings, rows = nosings_of(0.29, 0.16, (1.4, -1.2), 0.003)
-    assert 0.65 < rows[0] < 1.6
-    assert nosings[0].tread_m == pytest.approx(0.29, abs=1e-6)
+def test_usual_treads_known_no_better_are_believed() -> None:
+    nosing = nosings_of(0.29, 0.16, (1.4, -1.2), 0.005)[0]
+    assert nosing.tread_std_m > 0.04 * 0.29
+    assert nosing.tread_m == pytest.approx(0.29, abs=1e-6)
