@@ -71,7 +71,6 @@ class TrainingPreset:
                 raise ValueError(f"{name}={getattr(self, name)!r} must be at least 1")
         if not 0.0 <= self.small_share <= 1.0:
             raise ValueError(f"small_share={self.small_share!r} must be in [0, 1]")
-
         if not 0.0 <= self.trust_weight < math.inf:
             raise ValueError(f"trust_weight={self.trust_weight!r} must be a finite number >= 0")
         if self.trust_weight and not self.frozen_statistics:

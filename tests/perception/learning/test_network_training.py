@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from perception.data.augmentation import AugmentationConfig
 from perception.data.label_grid import encode_grid
@@ -81,20 +82,26 @@ def test_a_batch_that_cannot_be_shared_is_refused(data, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_processes_train_as_one_and_one_writes(data, tmp_path):
-    """Validation counts all frames, shared out; weights and card are whole."""
+@pytest.mark.parametrize("preset", ["fast", "robust"])
+def test_two_processes_train_as_one_and_one_writes(data, tmp_path, preset):
+    """Validation counts all frames, shared out; weights and card are whole, the selective module's start summed."""
     command = [
         sys.executable, "-m", "stair_env_cli.main", "perception-train", "--data", str(data), "--epochs", "1",
-        "--frames-per-epoch", "4", "--small-share", "1", "--accelerator", "cpu", "--threads", "1",
+        "--preset", preset, "--frames-per-epoch", "4", "--small-share", "1", "--accelerator", "cpu", "--threads", "1",
+        "--precision", "32-true",
     ]  # fmt: skip
-    cards = {}
+    cards, weights = {}, {}
     for devices in ("1", "2"):
         output = tmp_path / devices
         subprocess.run([*command, "--devices", devices, "--output", str(output)], check=True, timeout=500)
         cards[devices] = json.loads((output / "stairnetv2_025.json").read_text())
+        weights[devices] = load_file(output / "stairnetv2_025.safetensors")
     assert cards["1"]["devices"] == 1 and cards["2"]["devices"] == 2
     iou = [cards[devices]["metrics"]["val/iou_model"] for devices in ("1", "2")]
     assert all(0.0 <= value <= 100.0 for value in iou)
+    if preset == "robust":  # its batch norms are frozen, so that a batch in halves is the batch
+        for name, value in weights["1"].items():
+            torch.testing.assert_close(weights["2"][name], value, atol=5e-5, rtol=0.0, msg=name)
 
 
 def test_half_size_labels_follow_the_image():
