@@ -23,6 +23,8 @@ MAX_GAP_TREADS = 1.6  # between nosings of one flight, beyond which the far one 
 # Going down, no nosing nearer than this to the camera was missed beyond the farthest one measured, on 1500 of them.
 DESCENT_CLEAR_M = 1.2
 MAX_HIDDEN_EDGES = 2  # between the feet and the first nosing in view of a head camera
+# Beyond which no flight goes on: what is there is another one, or a bench at the landing's end.
+FLIGHT_ENDS_TREADS = MAX_HIDDEN_EDGES + MAX_GAP_TREADS
 FELT_RISE_STD_M = (
     0.003  # of the rise from the soles to the first tread in view: 2.7 mm on 26 starts at the paper's stairs
 )
@@ -293,14 +295,30 @@ class StairTracker:
         )
 
     def _belongs(self, index: int) -> bool:
-        """Whether a nosing continues the flight; one far beyond the others must have been seen often, riser and all."""
+        """Whether a nosing continues the flight.
+
+        One that lies apart must have been seen often, riser and all; one far apart must begin a flight of its own.
+        """
+        apart = self._gap_treads(index)
+        if apart < MAX_GAP_TREADS:
+            return True
+        if apart < FLIGHT_ENDS_TREADS:
+            return self._is_proven(index)
+        second = index + 1
+        if second == len(self._map) or self._gap_treads(second) > MAX_GAP_TREADS:
+            return False
+        return self._is_proven(index) and self._is_proven(second)
+
+    def _gap_treads(self, index: int) -> float:
+        """From the nosing before, in treads; 0 for the first."""
         if index == 0:
-            return True
+            return 0.0
         gap = float(self._map.ahead[index] - self._map.ahead[index - 1])
-        if gap < MAX_GAP_TREADS * self._map.tread.at(index - 1, fallback=0.30):
-            return True
-        confirmed = self._map.hits[index] >= self.config.frames_to_trust + self._map.misses[index]
-        return bool(confirmed and math.isfinite(self._map.riser.std_at(index)))
+        return gap / self._map.tread.at(index - 1, fallback=0.30)
+
+    def _is_proven(self, index: int) -> bool:
+        hits = self._map.hits[index] - self._map.misses[index]
+        return bool(hits >= self.config.frames_to_trust and math.isfinite(self._map.riser.std_at(index)))
 
     def _confidence(self, index: int, age_s: float) -> float:
         """0..1: frames behind the map, spread of the next edge and its riser, age."""

@@ -309,6 +309,25 @@ def test_a_phantom_far_behind_the_flight_is_not_the_next_edge() -> None:
     assert block == NO_STAIRS
 
 
+@pytest.mark.parametrize(("edges", "gap_m"), [(1, 2.4), (2, 2.4), (1, 0.6)])
+def test_beyond_the_landing_a_bench_is_no_stair_and_a_second_flight_is(edges: int, gap_m: float) -> None:
+    """However often it was seen; next to the flight a lone riser may be its last, one nosing having been missed."""
+    walk = Walk(uneven("up"), drop=0.0)
+    last = float(walk.profile.edge_x[-1])
+    beyond = last + gap_m + 0.3 * np.arange(edges)
+    while walk.x < last - HIP + 0.1:
+        seen = look(walk.profile, walk.x, walk.yaw, walk.rng)
+        ahead = beyond - walk.x - CAMERA.forward_m * math.cos(walk.yaw)
+        extra = (Nosing(float(x), 0.01, 0.0, 0.005, 0.19, 0.005, None, None) for x in ahead)
+        block = walk.step(estimate=dataclasses.replace(seen, nosings=(*seen.nosings, *extra)))
+    assert not walk.truth().valid
+    if edges == 1 and gap_m > 2.0:
+        assert block == NO_STAIRS
+    else:
+        assert block.edge_distance == pytest.approx(gap_m - 0.1, abs=0.1)
+        assert block.step_height == pytest.approx(0.19, abs=0.01)
+
+
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1), ("down", -1)])
 def test_edges_below_the_view_are_inferred_from_the_feet(direction: str, sign: int) -> None:
     """The first nosing in view is not the first one: the feet stand risers, uneven ones, away from its level."""
