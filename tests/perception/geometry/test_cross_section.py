@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.geometry.cross_section import DOWN, UNEVENNESS_STD_M, Section, _steady, read_nosings
+from perception.geometry.cross_section import DOWN, SURE_RUN, UNEVENNESS_STD_M, Section, _steady, read_nosings
 from perception.geometry.lines import LineSlopes
 from perception.geometry.results import Nosing
 from perception.geometry.strips.strip_labels import TREAD
@@ -104,5 +104,5 @@ def test_the_same_lines_nearby_are_believed() -> None:
 
 def test_usual_treads_known_no_better_are_believed() -> None:
     nosing = nosings_of(0.29, 0.16, (1.4, -1.2), 0.005)[0]
-    assert nosing.tread_std_m > 0.04 * 0.29
+    assert nosing.tread_std_m > SURE_RUN * 0.29
     assert nosing.tread_m == pytest.approx(0.29, abs=1e-6)
