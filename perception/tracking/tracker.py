@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.geometry.results import Nosing, StairEstimate
-from perception.tracking.nosing_filter import NosingMap
+from perception.tracking.nosing_filter import DEFAULT_TREAD_M, NosingMap
 from perception.tracking.pose_history import PlanarOdometry, PlanarPose
 from stair_env.common.validation import check_range
 from stair_env.observation import NO_STAIRS, StairBlock
@@ -286,7 +286,7 @@ class StairTracker:
         return StairBlock(
             valid=1.0,
             direction=float(self._direction),
-            step_width=self._map.tread.at(index, fallback=0.30),
+            step_width=self._map.tread.at(index, fallback=DEFAULT_TREAD_M),
             step_height=self._map.riser.at(index, fallback=0.0),
             edge_distance=float(self._map.ahead[index]) - self._hip_ahead(),
             heading_error=heading_error,
@@ -314,7 +314,7 @@ class StairTracker:
         if index == 0:
             return 0.0
         gap = float(self._map.ahead[index] - self._map.ahead[index - 1])
-        return gap / self._map.tread.at(index - 1, fallback=0.30)
+        return gap / self._map.tread.at(index - 1, fallback=DEFAULT_TREAD_M)
 
     def _is_proven(self, index: int) -> bool:
         hits = self._map.hits[index] - self._map.misses[index]
